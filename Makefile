@@ -3,7 +3,9 @@
 #   make demo    a small real fire: simulated, rendered, reconstructed, scored, shown (out/demo/report.html)
 #   make test    the test suite
 #   make quick   the part of it for a loop while you work: under a minute on two cores
-#   make lint    the rules and the format of the code
+#   make lint    the rules, the format and the types of the code
+#   make coverage  the quick tests with the share of lines that they run
+#   make bench   eight functions' CPU seconds against another commit (COMMIT, default HEAD), on this machine
 #   make docs    the documents as a web site (build/site/index.html)
 #   make dist    wheel, source archive and add-on zip with their checksums (dist/)
 #   make addon   the Blender add-on as a zip (dist/gaussians_on_fire-VERSION.zip); needs nothing but Python
@@ -17,7 +19,7 @@ JOBS   ?= 2
 VENV   := .venv
 READY  := $(VENV)/.ready
 
-.PHONY: demo test quick addon dist docs setup lint clean
+.PHONY: demo test quick coverage bench addon dist docs setup lint clean
 
 demo: setup
 	$(VENV)/bin/gof demo --out $(OUT)
@@ -27,6 +29,12 @@ test: setup
 
 quick: setup
 	$(VENV)/bin/python -m pytest -q -m "not long and not blender and not slow and not gpu" $(ARGS)
+
+coverage: setup
+	$(VENV)/bin/python -m pytest -q -m "not long and not blender and not slow and not gpu" --cov=gof --cov=benchmark --cov=blender_addon --cov-report=term:skip-covered $(ARGS)
+
+bench: setup
+	$(VENV)/bin/python tools/bench.py $(or $(COMMIT),HEAD) $(ARGS)
 
 addon:
 	$(PYTHON) tools/build_addon.py
@@ -47,6 +55,7 @@ $(READY): pyproject.toml requirements.lock tools/system_packages.sh tools/setup.
 lint: setup
 	$(VENV)/bin/ruff check .
 	$(VENV)/bin/ruff format --check .
+	$(VENV)/bin/python tools/type_errors.py
 
 clean:
 	rm -rf out build *.egg-info

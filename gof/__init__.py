@@ -65,9 +65,13 @@ _MOVED = {
     f"gof.{name}": f"gof.core.{name}"
     for name in ("cameras", "errors", "fields", "gaussians", "harmonics", "ply", "results", "rotations", "trajectory")
 } | {
+    "gof.evaluate.controls": "gof.evaluate.trivial_baselines",
     "gof.evaluate.gradients": "gof.evaluate.emission",
+    "gof.evaluate.perceptual": "gof.evaluate.image",
+    "gof.evaluate.published": "gof.evaluate.authors_figures",
     "gof.evaluate.statistics": "gof.evaluate.intervals",
     "gof.evaluate.weighted": "gof.evaluate.intervals",
+    "gof.io.importers.authors": "gof.io.importers.paper_code",
 }
 
 

@@ -104,7 +104,7 @@ def test_quaternions_are_scipys():
         (("dve", "l2"), True, r"dve\.l2 must be a finite number, got True"),
         (("dve", "frames_scored"), 1.5, r"dve\.frames_scored must be a whole number, got 1\.5"),
         (("dve", "opacity"), "half", r"dve\.opacity must be one of \['temporal', 'base'\], got 'half'"),
-        (("controls", "zero"), None, r"controls\.zero must be an object, got None"),
+        (("trivial_baselines", "zero"), None, r"trivial_baselines\.zero must be an object, got None"),
         (("costs", "fit"), "1 h", r"costs\.fit must be a finite number, got '1 h'"),
         (("import",), [], r"import must be an object, got \[\]"),
         (("warnings",), ["a", 2], r"warnings\[1\] must be a text, got 2"),

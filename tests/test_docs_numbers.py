@@ -106,7 +106,7 @@ TINY = ("--gaussians", "300", "--iterations", "20", "--voxels", "16")
 # pixels; LATE: the same with clocks that are off; RESULT: a reconstruction of FLAME; OUT: an empty folder.
 TOY = {
     "choices": ("FLAME", "--out", "OUT", "--only", "ours", "plates in the dark", *TINY),
-    "doubt": ("FLAME",),
+    "calibration": ("FLAME",),
     "dve_speed": ("--counts", "1000", "--sizes", "16", "--scipy-up-to", "1000"),
     "flow_fusion": ("FLAME", "--voxels", "16"),
     "gas_lookup": ("FLAME", "RESULT"),

@@ -247,7 +247,7 @@ def test_what_is_not_there_is_said_without_a_progress_bar(folder, tiny_dataset, 
 
 
 def test_a_bar_is_seen_from_its_first_update_on(capsys):
-    from gof.host.progress import progress_bar
+    from gof.host.terminal import progress_bar
 
     with progress_bar("work"):
         pass

@@ -48,7 +48,7 @@ def test_evaluate_opens_what_is_named(tmp_path):
     gof.unpack_sample(tmp_path)
     opened = gof.evaluate(tmp_path / "result", gof.open_dataset(tmp_path / "fire"), images=False)
     named = gof.evaluate(str(tmp_path / "result"), str(tmp_path / "fire"), images=False)
-    assert named.dve == opened.dve and named.dve.l2 < named.controls["zero"].l2
+    assert named.dve == opened.dve and named.dve.l2 < named.trivial_baselines["zero"].l2
 
 
 def test_a_preset_that_does_not_exist_is_refused_before_any_work(tmp_path):

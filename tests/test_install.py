@@ -34,7 +34,7 @@ IMPORTS |= {"flip_evaluator": "flip-evaluator"}
 @pytest.mark.skipif(os.name != "posix", reason="counts the seconds of a child")
 @pytest.mark.parametrize("code", ["import gof", "from gof.commands.cli import main; main(['--help'])"])
 def test_starting_takes_no_fifth_of_a_second(code):
-    """Seconds of the processor, the least of five: other programs run here too."""
+    """Seconds of the CPU, the least of five: other programs run here too."""
     ask = f"import resource\n{code}\nprint(sum(resource.getrusage(resource.RUSAGE_SELF)[:2]))"
     runs = [subprocess.run([sys.executable, "-c", ask], capture_output=True, text=True, check=True) for _ in range(5)]
     assert min(float(run.stdout.splitlines()[-1]) for run in runs) < 0.2
@@ -62,13 +62,13 @@ def _checkpoint(folder):
 
 
 def _flip(folder):
-    from gof.evaluate.perceptual import flip
+    from gof.evaluate.image import flip
 
     flip(np.zeros((40, 40, 3)), np.zeros((40, 40, 3)))
 
 
 def _lpips(folder):
-    from gof.evaluate.perceptual import lpips
+    from gof.evaluate.image import lpips
 
     lpips(np.zeros((40, 40, 3)), np.zeros((40, 40, 3)), folder)
 
@@ -203,14 +203,14 @@ NATIVE = ROOT / "gof" / "render" / "native"  # imported where `backend.kernels` 
 ON_CPU = ROOT / "gof" / "on_cpu"  # a process of its own, which only who trains with torch begins
 ASKED = {
     "torch": (
-        "gof/evaluate/perceptual.py",
+        "gof/evaluate/image.py",
         "gof/ingest/depth.py",
         "gof/io/importers/source.py",
     )
     + ("gof/reconstruct/optical_flow.py", "gof/render/torch_api.py", "gof/render/gsplat.py")
     + tuple(f"gof/on_cpu/{p.name}" for p in ON_CPU.glob("*.py")),
-    "torchvision": ("gof/evaluate/perceptual.py",),
-    "torchmetrics": ("gof/evaluate/perceptual.py",),
+    "torchvision": ("gof/evaluate/image.py",),
+    "torchmetrics": ("gof/evaluate/image.py",),
     "gsplat": ("gof/on_cpu/methods.py",),
     "transformers": ("gof/ingest/depth.py",),
     "memfof": ("gof/reconstruct/optical_flow.py",),

@@ -337,7 +337,7 @@ def test_a_report_of_a_camera_that_is_none(evaluated, tiny_dataset, camera):
 @pytest.mark.parametrize(("camera", "frame"), [(7, 0), (0, 7), (-1, 0), (0, -1)])
 def test_a_preview_of_a_picture_that_is_none(evaluated, tiny_dataset, camera, frame):
     from gof.commands import report
-    from gof.look.preview import Preview
+    from gof.look.report import Preview
 
     cv2.imwrite(str(evaluated / "p.png"), np.zeros((8, 8, 3), np.uint8))
     Preview("p.png", camera, frame).write(evaluated / "preview.json")

@@ -16,8 +16,7 @@ from gof.core.files import is_name, path_in
 from gof.dataset import Dataset
 from gof.dataset.plates import background, save_plates
 from gof.evaluate.depth import read_depth
-from gof.look.preview import Preview
-from gof.look.report import _stage_pictures
+from gof.look.report import Preview, _stage_pictures
 from gof.reconstruct.captions import Caption, Captions
 from gof_blender.core.checked_json import SpecError
 from gof_blender.core.errors import DataFormatError as ErrorOfTheAddOn

@@ -162,7 +162,7 @@ def test_memory_that_ends_is_named_whoever_says_so(error, monkeypatch, capsys):
 def test_a_foam_fires_name_is_a_name(name):
     """It becomes a folder: OUT/<name>."""
     from gof.core.fire import FireDescription
-    from gof_benchmark.solvers.openfoam.shipped import find_fire
+    from gof_benchmark.solvers.openfoam.foam_fire import find_fire
 
     fire = find_fire("pool_methane")
     with pytest.raises(DataFormatError, match="plain name"):

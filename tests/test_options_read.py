@@ -7,11 +7,19 @@ Read from the source, without running it: `NAME.field` of a name that is known t
 import ast
 from collections.abc import Iterator
 from dataclasses import dataclass, field
+from functools import cache
 from pathlib import Path
 
 import pytest
 
 from tools.import_graph import modules
+
+
+@cache
+def walked(node: ast.AST) -> tuple[ast.AST, ...]:
+    """The nodes of a tree, which is asked for once a class of options."""
+    return tuple(ast.walk(node))
+
 
 WHOLE = {"asdict", "vars", "astuple", "fields"}  # hand over every field at once
 
@@ -27,12 +35,12 @@ class Source:
 
     def __post_init__(self):
         for module, tree in self.trees.items():
-            for node in ast.walk(tree):
+            for node in walked(tree):
                 if isinstance(node, ast.ClassDef):
                     self.classes[module, node.name] = node
             self.imported[module] = {
                 alias.asname or alias.name: (node.module, alias.name)
-                for node in ast.walk(tree)
+                for node in walked(tree)
                 if isinstance(node, ast.ImportFrom) and node.module
                 for alias in node.names
             }
@@ -54,7 +62,7 @@ class Source:
 
     def named_in(self, module: str, node: ast.AST | None) -> set[tuple[str, str]]:
         """The classes that an annotation, or any other code, names."""
-        names = {part.id for part in ast.walk(node) if isinstance(part, ast.Name)} if node is not None else set()
+        names = {part.id for part in walked(node) if isinstance(part, ast.Name)} if node is not None else set()
         return {found for name in names if (found := self.find(module, name))}
 
     def is_dataclass(self, key: tuple[str, str]) -> bool:
@@ -78,7 +86,7 @@ class Source:
         """The classes of every call of `tyro.cli`, and those whose fields are among their options."""
         found, waiting = set(), set()
         for module, tree in self.trees.items():
-            for call in ast.walk(tree) if module != "gof.commands.read" else ():  # which hands on what it is given
+            for call in walked(tree) if module != "gof.commands.read" else ():  # which hands on what it is given
                 if isinstance(call, ast.Call) and ast.unparse(call.func) in ("tyro.cli", "read_options"):
                     named = self.named_in(module, call.args[0])
                     assert named, f"{module}: tyro.cli is given {ast.unparse(call.args[0])}, which is no class of ours"
@@ -107,7 +115,7 @@ class Source:
             bound = self._bound(key, module, part, kept)
             if key[0] == module and part in self.classes[key].body:
                 bound.add("self")
-            for node in ast.walk(part):
+            for node in walked(part):
                 if (
                     isinstance(node, ast.Attribute)
                     and isinstance(node.ctx, ast.Load)
@@ -119,12 +127,12 @@ class Source:
                     if called in WHOLE:
                         yield from self.options(key)
                     if called == "getattr":
-                        yield from (n.value for n in ast.walk(part) if isinstance(n, ast.Constant))
+                        yield from (n.value for n in walked(part) if isinstance(n, ast.Constant))
                         yield from (f for named in self.named_in(module, part) - {key} for f in self.options(named))
 
     def _bound(self, key: tuple[str, str], module: str, part: ast.AST, kept: set[str] = frozenset()) -> set[str]:
         """Names in a function that hold the options: annotated so, or made by `tyro.cli`, the class or `replace`."""
-        bound = {n.arg for n in ast.walk(part) if isinstance(n, ast.arg) and key in self.named_in(module, n.annotation)}
+        bound = {n.arg for n in walked(part) if isinstance(n, ast.arg) and key in self.named_in(module, n.annotation)}
         for target, value in assignments(part):
             called = [value.func, *value.args[:1]] if isinstance(value, ast.Call) else []
             made = any(key in self.named_in(module, each) for each in called if isinstance(each, ast.Name))
@@ -135,7 +143,7 @@ class Source:
     def _kept(self, key: tuple[str, str], module: str, tree: ast.Module) -> set[str]:
         """Names of attributes that hold the options: fields annotated so, and what is set to such a name."""
         found = set()
-        for node in ast.walk(tree):
+        for node in walked(tree):
             if isinstance(node, ast.AnnAssign) and isinstance(node.target, ast.Name):
                 found |= {node.target.id} if key in self.named_in(module, node.annotation) else set()
             if isinstance(node, ast.FunctionDef):
@@ -156,7 +164,7 @@ class Source:
 
 def assignments(part: ast.AST) -> Iterator[tuple[ast.AST, ast.AST]]:
     """Target and value of every assignment; of `a, b = c, d` both."""
-    for node in ast.walk(part):
+    for node in walked(part):
         for target in node.targets if isinstance(node, ast.Assign) else ():
             if isinstance(target, ast.Tuple) and isinstance(node.value, ast.Tuple):
                 yield from zip(target.elts, node.value.elts, strict=False)

@@ -106,6 +106,16 @@ def world(sample, tmp_path) -> Path:
     return shutil.copytree(sample, tmp_path / "world", symlinks=True)
 
 
+FAILING = ("gof evaluate nothing --dataset nothing", "gof evaluate --no-such-option", "false; true")
+
+
+@pytest.mark.parametrize("line", FAILING)
+def test_a_command_that_fails_is_seen_to_fail(line, tmp_path):
+    """In this process and in a shell alike."""
+    with pytest.raises(AssertionError, match=line.partition(";")[0]):
+        run(tmp_path, line)
+
+
 def cases() -> list:
     """Pages with the commands of theirs that are run; those that start Blender are marked."""
     found = []

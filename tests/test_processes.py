@@ -184,8 +184,8 @@ def test_a_look_ends_with_the_process_that_began_it(tmp_path):
     loop = f"import os, time; open({pid!r}, 'w').write(str(os.getpid()) + ' '); time.sleep(100)"
     worker = f"from gof_blender.worker.reporter import run_alone; run_alone(lambda argv: exec({loop!r}), [])"
     code = (
-        "import sys; from pathlib import Path; from gof_blender.pure import look_process\n"
-        f"look_process._run([sys.executable, '-c', {worker!r}], Path({str(tmp_path)!r}))"
+        "import sys; from pathlib import Path; from gof_blender.pure import dataset_process\n"
+        f"dataset_process._run([sys.executable, '-c', {worker!r}], Path({str(tmp_path)!r}))"
     )
     parent = subprocess.Popen(processes.python_command("-c", code))
     child = int(_word(Path(pid)))

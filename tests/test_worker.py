@@ -16,7 +16,7 @@ from gof.host.worker import run_worker
 @pytest.mark.long
 def test_worker_reports_cost_and_last_figures(tmp_path):
     code = (
-        "from gof.host.progress import progress_bar; x = bytearray(150 << 20); import time\n"
+        "from gof.host.terminal import progress_bar; x = bytearray(150 << 20); import time\n"
         "with progress_bar('work') as update:\n"
         "  [update(i, 3, note='n') or time.sleep(.4) for i in range(1, 4)]\n"
         "print('chatter')"
@@ -32,7 +32,7 @@ def test_failing_worker_shows_its_last_words(tmp_path):
 
 
 def test_progress_passes_through_nested_workers():
-    inner = "from gof.host.progress import report_progress; report_progress('inner', 2, 2)"
+    inner = "from gof.host.terminal import report_progress; report_progress('inner', 2, 2)"
     outer = (
         f"import sys; from gof.host.worker import run_worker; run_worker([sys.executable, '-c', {inner!r}], 'outer')"
     )

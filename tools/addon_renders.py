@@ -31,7 +31,7 @@ SHARES = {"arrows": 0.08, "streaks": 0.3}
 
 
 def stage(size: tuple[int, int], place: tuple[float, float, float]) -> bpy.types.Scene:
-    """An empty scene: dark world, floor, one camera that looks along +Y."""
+    """Return an empty scene: dark world, floor, one camera that looks along +Y."""
     bpy.ops.wm.read_factory_settings(use_empty=True)
     scene = bpy.context.scene
     scene.render.fps, scene.render.engine = 100, "CYCLES"
@@ -55,7 +55,7 @@ def render(path: Path) -> Path:
 
 
 def modes(result: Path, folder: Path) -> list[Path]:
-    """The same moment in each mode; arrows and streaks coloured by speed."""
+    """Return the same moment in each mode; arrows and streaks coloured by speed."""
     scene = stage((220, 360), (0, -2.9, 0.8))
     bpy.ops.gof.import_result(filepath=str(result))
     thing = bpy.context.object
@@ -70,7 +70,7 @@ def modes(result: Path, folder: Path) -> list[Path]:
 
 
 def errors(result: Path, dataset: Path, folder: Path) -> list[Path]:
-    """The cloud and the views that Show Errors puts beside it."""
+    """Return the cloud and the views that Show Errors puts beside it."""
     scene = stage((760, 360), (0, -5.4, 0.85))
     bpy.ops.gof.import_result(filepath=str(result))
     scene.gof.score.dataset = str(dataset)
@@ -82,7 +82,7 @@ def errors(result: Path, dataset: Path, folder: Path) -> list[Path]:
 
 
 def side_by_side(result: Path, dataset: Path, folder: Path, frame: int, camera: str) -> list[Path]:
-    """The true frame, and the cloud in the same scene."""
+    """Return the true frame, and the cloud in the same scene."""
     spec = import_result.read_spec(dataset)
     import_result.import_into_scene(clouds.load(result), spec, "points")
     bpy.context.scene.frame_set(spec.timeline.blender_frame(frame))
@@ -103,7 +103,7 @@ def pixels(path: Path) -> np.ndarray:
 
 
 def join(pictures: list[Path], target: Path, scale: int = 100) -> None:
-    """Pictures side by side in one WebP."""
+    """Join pictures side by side in one WebP."""
     subprocess.run(["convert", *pictures, "+append", "-resize", f"{scale}%", "-quality", "85", target], check=True)
 
 

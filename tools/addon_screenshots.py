@@ -220,12 +220,12 @@ class Window:
 
 
 def panel(number: int) -> tuple[int, int]:
-    """The header of a panel, counted from 0, when those before it are closed."""
+    """Return the header of a panel, counted from 0, when those before it are closed."""
     return FIRST_HEADER[0], FIRST_HEADER[1] + number * HEADER_STEP
 
 
 def fire(window: Window, out: Path) -> None:
-    """A fire on the default cube, seen through the rig's second camera."""
+    """Show a fire on the default cube, seen through the rig's second camera."""
     window.key("n")
     window.wait(lambda: window.python("view.show_region_ui"))
     window.settle()
@@ -245,7 +245,7 @@ def fire(window: Window, out: Path) -> None:
 
 
 def benchmark(window: Window, out: Path) -> None:
-    """A dataset of that scene: begun, stopped with Esc in the bake and in the pictures, gone on with, finished."""
+    """Show a dataset of that scene: begun, stopped with Esc in the bake and in the pictures, gone on with, finished."""
     window.press(*BENCHMARK_BELOW, key="ctrl")  # opens it and closes the others
     folder = window.work / "cube_fire"
     window.python(f"gof.benchmark.folder = {str(folder)!r}\nNone")
@@ -291,7 +291,7 @@ def benchmark(window: Window, out: Path) -> None:
 
 
 def reconstruction(window: Window, out: Path, result: Path, dataset: Path) -> None:
-    """A reconstruction in an empty scene, chosen in the file dialog, and its score."""
+    """Show a reconstruction in an empty scene, chosen in the file dialog, and its score."""
     chosen = window.work / "chosen" / result.name
     chosen.parent.mkdir()
     shutil.copy(result, chosen)

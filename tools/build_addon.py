@@ -26,7 +26,7 @@ EPOCH = (1980, 1, 1, 0, 0, 0)  # the first time a zip can hold
 
 
 def constant(path: Path, name: str):
-    """Value of a module's top-level constant, without running the module."""
+    """Return value of a module's top-level constant, without running the module."""
     for node in ast.parse(path.read_text(encoding="utf-8")).body:
         if isinstance(node, ast.Assign) and any(getattr(target, "id", None) == name for target in node.targets):
             return ast.literal_eval(node.value)
@@ -34,7 +34,7 @@ def constant(path: Path, name: str):
 
 
 def version() -> str:
-    """The project's version, if all that name one agree. Raises SystemExit that says which does not."""
+    """Return the project's version, if all that name one agree. Raises SystemExit that says which does not."""
     manifest = (SOURCE / "blender_manifest.toml").read_text(encoding="utf-8")
     project = constant(ROOT / "gof" / "__init__.py", "__version__")
     named = {
@@ -49,7 +49,8 @@ def version() -> str:
 
 
 def files() -> dict[Path, str]:
-    """Everything that belongs into the zip, and its name there. Raises SystemExit for a file of an unknown kind."""
+    """Return everything that belongs into the zip, and its name there. Raises SystemExit for a file of an unknown
+    kind."""
     named = {
         path: path.relative_to(SOURCE).as_posix() for path in SOURCE.rglob("*") if SOURCE / "core" not in path.parents
     }

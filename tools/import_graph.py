@@ -9,6 +9,7 @@ from __future__ import annotations
 import ast
 import sys
 from collections.abc import Iterator
+from functools import cache
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -22,7 +23,7 @@ BEGIN, END = "<!-- made by tools/import_graph.py --write -->\n", "<!-- end -->\n
 
 
 def modules() -> dict[str, Path]:
-    """Every module of ours by its dotted import name."""
+    """Return every module of ours by its dotted import name."""
     found = {}
     for package, folder in FOLDERS.items():
         for path in sorted((ROOT / folder).rglob("*.py")):
@@ -32,12 +33,13 @@ def modules() -> dict[str, Path]:
 
 
 def all_imports(name: str, path: Path, for_types: bool = False) -> Iterator[tuple[str, int]]:
-    """(dotted name, line) of all that a file imports, also inside functions; `for_types`: also for type checkers only.
+    """Yield (dotted name, line) of all that a file imports, also inside functions; `for_types`: also for type checkers
+    only.
 
     `from a import b` gives `a.b`, whether b is a module or not.
     """
     package = name.split(".") if path.name == "__init__.py" else name.split(".")[:-1]
-    tree = ast.parse(path.read_text(encoding="utf-8"))
+    tree = _parsed(path.read_text(encoding="utf-8"))
     for node in ast.walk(tree) if for_types else _executed(tree):
         if isinstance(node, ast.Import):
             yield from ((alias.name, node.lineno) for alias in node.names)
@@ -47,8 +49,14 @@ def all_imports(name: str, path: Path, for_types: bool = False) -> Iterator[tupl
             yield from ((f"{source}.{alias.name}", node.lineno) for alias in node.names)
 
 
+@cache
+def _parsed(text: str) -> ast.Module:
+    """Return a file's tree, kept: a graph asks for every file, and there are several graphs."""
+    return ast.parse(text)
+
+
 def imports_of(name: str, path: Path, known: dict[str, Path], for_types: bool = False) -> Iterator[tuple[str, int]]:
-    """(module of ours, line) of a file's imports; `for_types` as in `all_imports`."""
+    """Yield (module of ours, line) of a file's imports; `for_types` as in `all_imports`."""
     for target, line in all_imports(name, path, for_types):
         target = target.replace(*CORE) if target.startswith(CORE[0]) else target
         module = target if target in known else target.rpartition(".")[0]
@@ -57,7 +65,7 @@ def imports_of(name: str, path: Path, known: dict[str, Path], for_types: bool = 
 
 
 def _executed(tree: ast.AST) -> Iterator[ast.AST]:
-    """The nodes of a tree without the bodies of `if TYPE_CHECKING:`."""
+    """Yield the nodes of a tree without the bodies of `if TYPE_CHECKING:`."""
     for node in ast.iter_child_nodes(tree):
         if isinstance(node, ast.If) and getattr(node.test, "id", None) == "TYPE_CHECKING":
             continue
@@ -66,7 +74,7 @@ def _executed(tree: ast.AST) -> Iterator[ast.AST]:
 
 
 def file_graph(for_types: bool = False) -> dict[str, set[str]]:
-    """Module -> modules of ours that it imports; `for_types` as in `all_imports`."""
+    """Return module -> modules of ours that it imports; `for_types` as in `all_imports`."""
     known = modules()
     return {
         name: {target for target, _ in imports_of(name, path, known, for_types)} - {name}
@@ -75,7 +83,7 @@ def file_graph(for_types: bool = False) -> dict[str, set[str]]:
 
 
 def room_of(module: str, path: Path) -> str:
-    """The room of a module: its folder, as in the repository; gof's own files are the room "gof"."""
+    """Return the room of a module: its folder, as in the repository; gof's own files are the room "gof"."""
     if module in ENTRANCES:
         return ENTRANCES[module]
     names = module.split(".")
@@ -93,7 +101,7 @@ def room_graph() -> dict[str, set[str]]:
 
 
 def diagram() -> str:
-    """The rooms as a Mermaid flowchart. An arrow that a longer way round implies is left out."""
+    """Return the rooms as a Mermaid flowchart. An arrow that a longer way round implies is left out."""
     graph = room_graph()
     lines = ["```mermaid", "flowchart TD"]
     for folder in FOLDERS.values():
@@ -122,7 +130,7 @@ def _key(room: str) -> str:
 
 
 def page_with(text: str, new: str) -> str:
-    """A page with its diagram replaced."""
+    """Return a page with its diagram replaced."""
     before, _, rest = text.partition(BEGIN)
     _, _, after = rest.partition(END)
     return before + BEGIN + new + END + after

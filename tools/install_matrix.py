@@ -34,7 +34,7 @@ MARKS = "not slow and not blender and not gpu and not checkout"
 
 
 def tracked() -> list[str]:
-    """The files that git has, or would have; those of today, whatever was committed."""
+    """Return the files that git has, or would have; those of today, whatever was committed."""
     done = run(["git", "ls-files", "--cached", "--others", "--exclude-standard"], cwd=ROOT)
     return sorted(line for line in done.splitlines() if (ROOT / line).is_file())
 
@@ -52,7 +52,7 @@ def build(folder: Path) -> tuple[Path, Path]:
 
 
 def environment(folder: Path, python: str) -> Path:
-    """The Python of a fresh environment with a new pip."""
+    """Return the Python of a fresh environment with a new pip."""
     run([python, "-m", "venv", str(folder)])
     inside = folder / ("Scripts/python.exe" if sys.platform == "win32" else "bin/python")
     run([str(inside), "-m", "pip", "install", "--quiet", "--upgrade", "pip>=24"])
@@ -60,7 +60,7 @@ def environment(folder: Path, python: str) -> Path:
 
 
 def install(python: Path, *requirements: str) -> float:
-    """Seconds that pip took."""
+    """Return seconds that pip took."""
     start = time.perf_counter()
     run([str(python), "-m", "pip", "install", "--quiet", *requirements])
     return time.perf_counter() - start
@@ -86,7 +86,7 @@ def versions(python: Path) -> list[str]:
 
 
 def tests(python: Path, folder: Path) -> str:
-    """The last line of pytest, without its time; all of its output is beside the tests."""
+    """Return the last line of pytest, without its time; all of its output is beside the tests."""
     shutil.copytree(ROOT / "tests", folder / "tests", ignore=shutil.ignore_patterns("__pycache__"))
     shutil.copy2(ROOT / "pyproject.toml", folder)
     parts = [f"tests/{name}" for name in PARTS if (ROOT / "tests" / name).exists()]
@@ -98,7 +98,7 @@ def tests(python: Path, folder: Path) -> str:
 
 
 def sizes(wheel: Path, folder: Path, python: str, extras: list[str]) -> None:
-    """What an extra adds to an environment that has the package without extras."""
+    """Print how much an extra adds to an environment that has the package without extras."""
     print("| extra | MB | seconds | packages |\n|---|---|---|---|")
     for extra in ["", *extras]:
         inside = environment(folder / "environment", python)

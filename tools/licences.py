@@ -1,4 +1,4 @@
-"""What is installed with each extra: how much of it, and under which licences; from the packages' own metadata.
+"""Packages that each extra installs: how much of them, and under which licences; from the packages' own metadata.
 
     python tools/licences.py     the table of docs/install.md
 
@@ -20,11 +20,11 @@ COPYLEFT = re.compile(
     r"\b([AL]?GPL|GNU|MPL|Mozilla|EUPL|European Union Public|CDDL|EPL|Eclipse|OSL|SSPL|CC[- ]BY[- ](SA|NC))", re.I
 )
 FREE = re.compile(r"\b(MIT|BSD|0BSD|Apache|ISC|PSF|Python Software Foundation|Zlib|Unlicense|CC0|BSL-1\.0|HPND)", re.I)
-# May be copyleft although it comes with other extras than `blender`: name -> (licence, why that binds nobody here).
+# May be copyleft although it comes with other extras than `blender`: name -> (licence, why that binds no user here).
 EXCEPTIONS = {
     "certifi": ("MPL-2.0", "a list of certificates, used unchanged (requests, of mkdocs)"),
     "hypothesis": ("MPL-2.0", "a tool of the tests, used unchanged"),
-    "pathspec": ("MPL-2.0", "a tool of the documents' site, used unchanged (mkdocs)"),
+    "pathspec": ("MPL-2.0", "a tool of the documents' site and of mypy, used unchanged"),
 }
 # Copyleft in a wheel that metadata do not tell: name -> (licence, what it is, words that stand in a binary).
 INSIDE = {
@@ -36,7 +36,7 @@ SILENT = {"openexr": ("BSD-3-Clause", "Redistribution and use in source and bina
 
 
 def licence(distribution: importlib.metadata.Distribution) -> str:
-    """What a package says of itself, in its own words; "unknown" if it says nothing."""
+    """Return what a package says of itself, in its own words; "unknown" if it says nothing."""
     metadata = distribution.metadata
     if expression := metadata.get("License-Expression"):
         return expression
@@ -51,7 +51,8 @@ def licence(distribution: importlib.metadata.Distribution) -> str:
 
 
 def brought_by(name: str, extras: Iterable[str] = ()) -> dict[str, importlib.metadata.Distribution | None]:
-    """Every package that one needs with these extras, by its plain name, itself left out; None: not installed."""
+    """Return every package that one needs with these extras, by its plain name, itself left out; None: not
+    installed."""
     found: dict[str, importlib.metadata.Distribution | None] = {}
     waiting, seen = [(name, extra) for extra in ["", *extras]], set()
     while waiting:
@@ -74,7 +75,7 @@ def brought_by(name: str, extras: Iterable[str] = ()) -> dict[str, importlib.met
 
 
 def objections(packages: dict[str, importlib.metadata.Distribution | None]) -> list[str]:
-    """What is wrong with the licences of packages for one who does not want copyleft."""
+    """Return what is wrong with the licences of packages for one who does not want copyleft."""
     wrong = []
     for name, distribution in sorted(packages.items()):
         if distribution is None:
@@ -90,7 +91,7 @@ def objections(packages: dict[str, importlib.metadata.Distribution | None]) -> l
 
 
 def size_mb(distribution: importlib.metadata.Distribution) -> float:
-    """Of its files as they were installed, before Python compiles them."""
+    """Return the size of its files as they were installed, before Python compiles them."""
     return sum(file.size or 0 for file in distribution.files or []) / 2**20
 
 

@@ -63,7 +63,7 @@ def run(*words) -> None:
 
 
 def keep_fire(dataset: Path, out: Path) -> None:
-    """The dataset without its linear pictures and Blender files, which are most of its bytes."""
+    """Keep the dataset without its linear pictures and Blender files, which are most of its bytes."""
     description = json.loads((dataset / "dataset.json").read_text(encoding="utf-8"))
     for camera in description["cameras"]:
         camera.pop("exr", None)
@@ -82,7 +82,7 @@ def keep_fire(dataset: Path, out: Path) -> None:
 
 
 def keep_clip(dataset: Path, out: Path) -> None:
-    """The clip's pictures as films of three cameras, and the lenses and places of these."""
+    """Keep the clip's pictures as films of three cameras, and the lenses and places of these."""
     opened = Dataset.open(dataset)
     out.mkdir(parents=True)
     cameras = []
@@ -104,7 +104,7 @@ def write_film(pictures: Path, film: Path, rate: int) -> None:
 
 
 def keep_result(run_folder: Path, out: Path) -> None:
-    """What report, share and film need of a reconstruction."""
+    """Keep the parts of a reconstruction that report, share and film need."""
     out.mkdir(parents=True)
     for name in ("result.npz", "settings.json", "costs.json", "curve.json", "made_from.json"):
         if (run_folder / name).is_file():
@@ -130,7 +130,7 @@ def keep_submission(run_folder: Path, sample: Path) -> None:
 
 
 def write_archive(folder: Path, path: Path) -> int:
-    """The folder as a zip, the same bytes from the same files; its size."""
+    """Return the folder as a zip, the same bytes from the same files; its size."""
     with atomic_path(path) as draft, zipfile.ZipFile(draft, "w") as archive:
         for file in sorted(file for file in folder.rglob("*") if file.is_file()):
             entry = zipfile.ZipInfo(file.relative_to(folder).as_posix(), EPOCH)

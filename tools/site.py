@@ -31,7 +31,7 @@ def stage(folder: Path) -> None:
 
 
 def build(out: Path) -> int:
-    """The exit status of mkdocs, which names every link that leads nowhere."""
+    """Return the exit status of mkdocs, which names every link that leads nowhere."""
     with tempfile.TemporaryDirectory() as temporary:
         pages = Path(temporary) / "pages"
         stage(pages)

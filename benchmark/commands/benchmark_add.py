@@ -22,9 +22,9 @@ from gof.evaluate.scores import Scores
 from gof.evaluate.submission import ADDING, PICTURES, SCORES, Run, write_pictures
 from gof.evaluate.training_curve import FILE as CURVE
 from gof.evaluate.training_curve import TrainingCurve
-from gof.host.progress import progress_bar
+from gof.host.terminal import progress_bar
 from gof.io.importers import ImportOptions
-from gof.io.importers.said import with_said
+from gof.io.importers.sidecar import with_said
 from gof_benchmark.suite.made import MadeScene, scene_of
 
 BESIDE = (MADE_FROM, "costs.json")  # of a reconstruction of ours, and its plates
@@ -58,7 +58,7 @@ class AddConfig:
 
 
 def main(argv: list[str]) -> int:
-    """The command line of `gof benchmark add`."""
+    """Run `gof benchmark add`."""
     config = read_options(AddConfig, "benchmark add", argv)
     if config.run is not None and not is_name(config.run):
         raise GofError(f"--run {config.run!r}: must be a plain name, as seed_0")
@@ -89,7 +89,7 @@ def main(argv: list[str]) -> int:
 
 
 def require_new(result: Path, folder: Path, scene: Path) -> None:
-    """Make sure that the run's folder is nobody's yet.
+    """Make sure that the run's folder is not taken yet.
 
     Raises:
         DataFormatError: no such result, or it lies in the submission already, or around it.
@@ -112,7 +112,7 @@ def require_new(result: Path, folder: Path, scene: Path) -> None:
 
 
 def require_pictures(pictures: Path, dataset: Dataset) -> None:
-    """Raises DataFormatError: a held-out picture is not there."""
+    """Raise DataFormatError: a held-out picture is not there."""
     names = [f"{camera.name}/{frame:06d}.png" for camera in dataset.cameras for frame in dataset.test_frames]
     missing = [name for name in names if not (pictures / name).is_file()]
     if missing:
@@ -123,7 +123,7 @@ def require_pictures(pictures: Path, dataset: Dataset) -> None:
 
 
 def put_together(config: AddConfig, made: MadeScene, folder: Path) -> None:
-    """Everything of a run in a folder of its own."""
+    """Put everything of a run into a folder of its own."""
     result = copy(config.result, folder)
     if config.curve is not None:
         shutil.copyfile(config.curve, folder / CURVE)
@@ -166,7 +166,7 @@ def say_frames(config: AddConfig, folder: Path, dataset: Dataset) -> None:
     """Write made_from.json, where it did not come with the result.
 
     Raises:
-        GofError: nobody says which frames the result was made from, or two say it.
+        GofError: the frames that the result was made from are unknown, or stated twice.
     """
     there = (folder / MADE_FROM).is_file()
     if there == (config.trained_on is not None):

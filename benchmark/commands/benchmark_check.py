@@ -10,8 +10,7 @@ import tyro
 
 from gof.commands.everywhere import write_figures
 from gof.commands.read import read_options
-from gof.evaluate.submission import Submission
-from gof.evaluate.submission_check import Finding, check
+from gof.evaluate.submission import Finding, Submission, check
 from gof.host.terminal import console
 from gof_benchmark.suite.made import made_scenes
 
@@ -37,7 +36,7 @@ class CheckConfig:
 
 
 def main(argv: list[str]) -> int:
-    """The command line of `gof benchmark check`; 1 where the submission is refused."""
+    """Run `gof benchmark check`; 1 where the submission is refused."""
     config = read_options(CheckConfig, "benchmark check", argv)
     datasets = {name: made.dataset for name, made in made_scenes(config.suite).items()}
     out, findings = console(), []
@@ -50,7 +49,7 @@ def main(argv: list[str]) -> int:
 
 
 def verdict(findings: list[Finding]) -> str:
-    """One sentence."""
+    """Return one sentence."""
     refused = [finding for finding in findings if finding.verdict == "refused"]
     hints = sum(finding.verdict == "hint" for finding in findings)
     if refused:

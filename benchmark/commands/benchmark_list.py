@@ -64,7 +64,7 @@ class Line:
 
 
 def main(argv: list[str]) -> int:
-    """The command line of `gof benchmark list`."""
+    """Run `gof benchmark list`."""
     config = read_options(ListConfig, "benchmark list", argv)
     scenes = choose(config.size, config.scenes)
     lines = [asdict(Line.of(scene)) for scene in scenes]

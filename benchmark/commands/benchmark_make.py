@@ -15,8 +15,7 @@ from gof.dataset import Dataset
 from gof.host.terminal import console
 from gof_benchmark.fires.making import make, predicted_s
 from gof_benchmark.suite import Size, choose
-from gof_benchmark.suite.made import folder_of
-from gof_benchmark.suite.truths import compare
+from gof_benchmark.suite.made import compare, folder_of
 from gof_blender.pure.cost_model import duration
 
 SIGNS = {"same": "✓", "not to the bit": "?", "unknown": "?"}
@@ -42,7 +41,7 @@ class MakeConfig:
 
 
 def main(argv: list[str]) -> int:
-    """The command line of `gof benchmark make`; 1 where a scene could not be made."""
+    """Run `gof benchmark make`; 1 where a scene could not be made."""
     config = read_options(MakeConfig, "benchmark make", argv)
     chosen = choose(config.size, config.scenes)
     out, left_out, found = console(), [], {}

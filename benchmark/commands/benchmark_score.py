@@ -22,22 +22,21 @@ from gof.evaluate.eddy_time import eddy_time
 from gof.evaluate.leaderboard import EvaluatedResult
 from gof.evaluate.method import AboutMethod
 from gof.evaluate.scores import Scores
-from gof.evaluate.submission import PICTURES, SCORES, Run, Submission
-from gof.evaluate.submission_check import OPACITY, ORDER, check, score_again
+from gof.evaluate.submission import OPACITY, ORDER, PICTURES, SCORES, Run, Submission, check, score_again
 from gof.evaluate.suite_board import ScoredScene, board
 from gof.evaluate.training_curve import FILE as CURVE
 from gof.evaluate.training_curve import TrainingCurve
 from gof.host.terminal import console
+from gof.look.boards import suite_html, suite_markdown
 from gof.look.comparison import Moment
 from gof.look.pages import PageGrid, side_by_side
-from gof.look.suite_page import to_html, to_markdown
 from gof_benchmark.suite import pick, scenes_of, split_of, suite_name
 from gof_benchmark.suite.made import MadeScene, made_scenes, size_of
 
 
 @dataclass
 class ScoreConfig:
-    """Score submissions and write one page: means with intervals, ranks that are shared where nobody can tell, wins.
+    """Score submissions and write one page: means with intervals, ranks that are shared where scores cannot tell, wins.
 
     Examples:
       gof benchmark score mine others bench/preview --out board
@@ -58,7 +57,7 @@ class ScoreConfig:
 
 
 def main(argv: list[str]) -> int:
-    """The command line of `gof benchmark score`."""
+    """Run `gof benchmark score`."""
     config = read_options(ScoreConfig, "benchmark score", argv)
     if len(config.folders) < 2:
         raise GofError("give one submission or more, and last the folder of the suite's size: mine WORK/standard")
@@ -85,10 +84,10 @@ def main(argv: list[str]) -> int:
     write_record(out / "board.json", found)
     write_figures(found)
     grids = {made.scene.name: _pictures(made, scored) for made, scored in zip(here, scenes, strict=True)}
-    for name, text in (("board.html", to_html(found, grids)), ("board.md", to_markdown(found))):
+    for name, text in (("board.html", suite_html(found, grids)), ("board.md", suite_markdown(found))):
         with atomic_path(out / name) as temporary:
             temporary.write_text(text, encoding="utf-8")
-    console().print(to_markdown(found), markup=False, highlight=False)
+    console().print(suite_markdown(found), markup=False, highlight=False)
     print(f"written to {out}/board.html, .md, .json")
     return 0
 
@@ -105,7 +104,8 @@ def crosses(submission: Submission, here: list[MadeScene], kept: Path) -> tuple[
 
 
 def scored_scene(made: MadeScene, submissions: list[Submission], kept: Path) -> ScoredScene:
-    """A scene with the scores of every submission that has it; what cannot be read is left out, as the check says."""
+    """Return a scene with the scores of every submission that has it; what cannot be read is left out, as the check
+    says."""
     runs, curves = {}, {}
     for submission in submissions:
         folders = submission.runs.get(made.scene.name, ())
@@ -125,13 +125,13 @@ def scored_scene(made: MadeScene, submissions: list[Submission], kept: Path) -> 
 
 
 def _pictures(made: MadeScene, scored: ScoredScene) -> PageGrid | None:
-    """The first run of every method, from the middle camera."""
+    """Return the first run of every method, from the middle camera."""
     first = [replace(runs[0], name=name) for name, runs in scored.runs.items()]
     return side_by_side(first, Moment.near(made.dataset, len(made.dataset.cameras) // 2, None))
 
 
 def evaluated(run: Run, made: MadeScene, about: AboutMethod, kept: Path) -> EvaluatedResult:
-    """A run's scores, computed here or kept from before."""
+    """Return a run's scores, computed here or kept from before."""
     scores = kept_scores(run, made.dataset, kept)
     # of one scene: its own costs, where they are there, else what the method says of itself
     costs_here = (run.folder / "costs.json").is_file()
@@ -139,7 +139,7 @@ def evaluated(run: Run, made: MadeScene, about: AboutMethod, kept: Path) -> Eval
 
 
 def kept_scores(run: Run, dataset: Dataset, kept: Path) -> Scores:
-    """A run's scores: computed, or of an earlier time when nothing was different that has a part in them."""
+    """Return a run's scores: computed, or of an earlier time when nothing was different that has a part in them."""
     path = kept / f"{_digits(run, dataset)}.json"
     if path.is_file():
         return Scores.read(path)

@@ -49,7 +49,7 @@ def check_blender() -> Outcome:
 
 
 def check_mantaflow() -> Outcome:
-    """A real bake of three frames in a throw-away folder, with the worker that the generator uses."""
+    """Return a real bake of three frames in a throw-away folder, with the worker that the generator uses."""
     if importlib.util.find_spec("bpy") is None:
         return "missing", GENERATE
     with tempfile.TemporaryDirectory() as folder:

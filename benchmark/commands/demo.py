@@ -12,8 +12,7 @@ from typing import ClassVar
 
 from gof.commands.evaluate import around_table
 from gof.commands.everywhere import write_figures
-from gof.commands.read import read_options
-from gof.commands.units import Preset
+from gof.commands.read import Preset, read_options
 from gof.core.cameras import in_words
 from gof.core.costs import StageCost, StageLog
 from gof.core.errors import GofError
@@ -78,7 +77,7 @@ class DemoSettings:
 
     @classmethod
     def of(cls, config: DemoConfig) -> DemoSettings:
-        """Raises GofError: there is no such scene, or an option is out of range."""
+        """Build it. Raises GofError: there is no such scene, or an option is out of range."""
         for name, given in (("gaussians", config.gaussians), ("iterations", config.steps)):
             if given is not None and given < LEAST[name]:
                 raise GofError(f"{FLAGS[name]} {given}: must be {LEAST[name]} or more")
@@ -107,7 +106,7 @@ class Stage:
 
 
 def stages_of(config: DemoConfig) -> list[Stage]:
-    """The steps in order, each a `gof` command."""
+    """Return the steps in order, each a `gof` command."""
     out, dataset, scene = config.out, config.out / "dataset", config.out / "scene.json"
     made, result, preview = dataset / "dataset.json", out / "reconstruct" / "result.npz", out / "preview.png"
     effort = [x for name in ("gaussians", "steps") if (n := getattr(config, name)) for x in (f"--{name}", n)]
@@ -145,7 +144,7 @@ def stages_of(config: DemoConfig) -> list[Stage]:
 
 
 def evaluation(config: DemoConfig) -> Path:
-    """Where the stage "evaluate" writes its `Scores`."""
+    """Return where the stage "evaluate" writes its `Scores`."""
     return config.out / "evaluate" / "evaluation.json"
 
 
@@ -186,7 +185,7 @@ def run_stages(config: DemoConfig) -> None:
 
 
 def stage_costs(config: DemoConfig) -> list[StageCost]:
-    """What every stage cost, part by part where it keeps account."""
+    """Return what every stage cost, part by part where it keeps account."""
     logs = [stage.costs for stage in stages_of(config) if stage.costs] + [config.out / "costs.json"]
     return [cost for log in logs for cost in StageLog(log).stages()]
 
@@ -200,8 +199,8 @@ def summarise(scores: Scores) -> None:
     for column in ("velocities", "L2 (lower is better)", "CosSim (higher is better)"):
         table.add_column(column)
     table.add_row("[bold]reconstruction[/]", f"[bold]{scores.dve.l2:.3f}[/]", f"[bold]{scores.dve.cos_sim:.3f}[/]")
-    for name, control in scores.controls.items():
-        table.add_row(f"control: {name}", f"{control.l2:.3f}", f"{control.cos_sim:.3f}")
+    for name, trivial_baseline in scores.trivial_baselines.items():
+        table.add_row(f"trivial: {name}", f"{trivial_baseline.l2:.3f}", f"{trivial_baseline.cos_sim:.3f}")
     console = Console()
     console.print(table)
     if scores.psnr_flame is not None:

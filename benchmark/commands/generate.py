@@ -9,20 +9,19 @@ from typing import Annotated, Literal
 import tyro
 
 from gof.commands.everywhere import require_writable, write_figures
-from gof.commands.read import read_options
-from gof.commands.units import Preset
+from gof.commands.read import Preset, read_options
 from gof.core.costs import Costs, StageLog
 from gof.core.errors import GofError
 from gof.host.terminal import console
 from gof_benchmark.generator import graph
-from gof_benchmark.generator.looks import require_look
+from gof_benchmark.generator.blender_process import require_look
 from gof_benchmark.generator.workers import require_certificate
 from gof_benchmark.scenes import claimed, load_scene
 from gof_blender.core.checked_json import SpecError
-from gof_blender.pure import look_process
+from gof_blender.pure import dataset_process
 from gof_blender.pure.child import JobError, python
 from gof_blender.pure.layout import Layout, leaving
-from gof_blender.pure.sense import require_sense
+from gof_blender.pure.plausibility import require_sense
 from gof_blender.pure.spec import SceneSpec
 
 
@@ -107,8 +106,8 @@ def _default_out(scene: str, spec: SceneSpec) -> Path:
 
 
 def _checked(spec: SceneSpec, layout: Layout, estimate: bool) -> list[str]:
-    """What the user should know of a spec before anything is made. Raises GofError: it would be no dataset, or, but for
-    an estimate, this machine cannot make it."""
+    """Return what the user should know of a spec before anything is made. Raises GofError: it would be no dataset, or,
+    but for an estimate, this machine cannot make it."""
     try:
         notes = require_sense(spec)
         require_look(spec.display)
@@ -125,9 +124,10 @@ def _checked(spec: SceneSpec, layout: Layout, estimate: bool) -> list[str]:
 
 
 def _in_its_scene(spec: SceneSpec) -> list[str]:
-    """What the user should know of objects in a .blend of theirs. Raises GofError: it cannot be the surroundings."""
+    """Return what the user should know of objects in a .blend of theirs. Raises GofError: it cannot be the
+    surroundings."""
     try:
-        return look_process.notes(spec, python())
+        return dataset_process.scene_notes(spec, python())
     except (SpecError, JobError) as error:
         raise GofError(f"{spec.name}: {error}") from error
 
@@ -154,7 +154,7 @@ def _make(spec: SceneSpec, layout: Layout, log: StageLog, config: GenerateConfig
 
 
 def _summary(costs: Costs) -> str:
-    """What the clock on the wall says, and what the processes say, which work at the same time."""
+    """Return what the clock on the wall says, and what the processes say, which work at the same time."""
     stages = ", ".join(f"{cost.name} {cost.settings.get('wall_s', cost.seconds):.0f} s" for cost in costs.stages)
     processes = sum(cost.seconds for cost in costs.stages)
     return f"{costs.wall_s:.0f} s by the clock ({stages}; they overlap), {processes:.0f} s summed over processes"

@@ -16,7 +16,7 @@ from gof.dataset import Dataset
 from gof.host import extras
 from gof.host.processes import python_command
 from gof.host.worker import run_worker
-from gof.look.preview import Preview
+from gof.look.report import Preview
 
 
 @dataclass

@@ -1,10 +1,10 @@
-"""What the add-on's cloud costs: import, playback, memory; against a sequence baked per frame of the same cloud.
+"""Costs of the add-on's cloud: import, playback, memory; against a sequence baked per frame of the same cloud.
 
     python -m gof_benchmark.evidence.addon_speed
 
-Every case runs in a Blender process of its own and is measured there: seconds on the clock, and seconds of processor
+Every case runs in a Blender process of its own and is measured there: seconds on the clock, and seconds of CPU
 time over all threads, which the clock cannot exceed on a machine without other work; memory held, which is the growth
-of the resident size once the C library has returned what is free; and its peak. Goals are judged by processor time.
+of the resident size once the C library has returned what is free; and its peak. Goals are judged by CPU time.
 Playback is `scene.frame_set`, which evaluates the modifier, without drawing.
 """
 
@@ -66,7 +66,7 @@ CASES = [
 
 @dataclass(frozen=True)
 class Cost:
-    """What a case cost; seconds of a frame are medians over the playback, memory is in MB (2^20 bytes)."""
+    """The cost of a case; seconds of a frame are medians over the playback, memory is in MB (2^20 bytes)."""
 
     import_s: float
     import_cpu_s: float
@@ -127,7 +127,7 @@ def print_goals(costs: dict[Case, Cost]) -> None:
 
 
 def write_result(path: Path, count: int) -> None:
-    """A flame-like cloud: Gaussians of 2 to 10 mm in a column of 1 m, alive for a tenth of the clip each."""
+    """Write a flame-like cloud: Gaussians of 2 to 10 mm in a column of 1 m, alive for a tenth of the clip each."""
     from gof.core.gaussians import TransientGaussians
 
     rng = np.random.default_rng(0)
@@ -149,7 +149,7 @@ def write_result(path: Path, count: int) -> None:
 
 
 def measure(kind: str, result: str, mode: str) -> dict[str, float]:
-    """One case, as the fields of `Cost`."""
+    """Return one case, as the fields of `Cost`."""
     cost = measure_cloud(Path(result), mode) if kind == "cloud" else measure_baked(Path(result))
     return asdict(cost)
 
@@ -175,7 +175,7 @@ def measure_cloud(result: Path, mode: str) -> Cost:
 
 
 def measure_baked(result: Path) -> Cost:
-    """The same points as one mesh per frame, swapped at every frame."""
+    """Return the same points as one mesh per frame, swapped at every frame."""
     import bpy
 
     bpy.ops.wm.read_factory_settings(use_empty=True)
@@ -206,7 +206,7 @@ def _imported_and_played(
 
 
 def play(scene: Any, before_frame: Callable[[int], Any]) -> tuple[float, float]:
-    """Median seconds of one frame, on the clock and of the processor."""
+    """Return median seconds of one frame, on the clock and of the CPU."""
     seconds = []
     for number in range(FRAMES):
         started = np.array([time.perf_counter(), time.process_time()])
@@ -224,7 +224,7 @@ def resident_mb(field: str = "VmRSS") -> float:
 
 
 def bake_meshes(result: Path) -> list[Any]:
-    """A mesh of the visible points for every frame."""
+    """Return a mesh of the visible points for every frame."""
     import bpy
 
     from gof_blender.pure.io import cloud as clouds
@@ -252,7 +252,7 @@ def bake_meshes(result: Path) -> list[Any]:
 
 
 def point_object(mesh: Any) -> Any:
-    """An object that shows a mesh's vertices as points."""
+    """Return an object that shows a mesh's vertices as points."""
     import bpy
 
     thing = bpy.data.objects.new("baked", mesh)

@@ -1,4 +1,4 @@
-"""Rows of other methods beside ours on scenes of GoF-Bench, trained by their own code on this machine's processor.
+"""Rows of other methods beside ours on scenes of GoF-Bench, trained by their own code on this machine's CPU.
 
     python -m gof_benchmark.evidence.baseline_rows WORK/standard OUT --wu 4DGaussians --yang 4d-gaussian-splatting \
         --freetime FreeTimeGsVanilla [--scenes jet logs foam_two_burners] [--ours gof ...] [--steps 3000] \
@@ -6,7 +6,7 @@
 
 Every scene is seen in smaller pictures, every method is trained for the same number of steps with the settings that its
 authors give for a scene of this kind, schedules shortened in proportion; then ours: with the flow prior, without, and
-`--method paper` for as many steps, and once more for as many processor seconds as the slowest of the others took. Each
+`--method paper` for as many steps, and once more for as many CPU seconds as the slowest of the others took. Each
 becomes a submission in OUT/submissions and is checked; all that are there are scored into OUT/board, and scene by scene
 into OUT/SCENE.md. Rows are made in turn, each on all scenes, the cheap ones first. What is finished is not done again,
 so it may be stopped and started as one likes, or made in parts: others' rows are those whose checkout is given, ours
@@ -55,7 +55,7 @@ class BaselineRows:
     out: tyro.conf.Positional[Path]
     """Folder for all of it."""
     scenes: tuple[str, ...] = ("jet", "logs", "foam_two_burners")
-    """Of the suite, of one split."""
+    """For the suite, of one split."""
     wu: Path | None = None
     """Checkout of hustvl/4DGaussians."""
     yang: Path | None = None
@@ -63,15 +63,15 @@ class BaselineRows:
     freetime: Path | None = None
     """Checkout of raiscui/FreeTimeGsVanilla."""
     steps: int = 3000
-    """Of every training, one picture each."""
+    """For every training, one picture each."""
     longest_side: int = 160
-    """Of the pictures, px."""
+    """For the pictures, px."""
     ours: tuple[str, ...] = tuple(OURS)
     """Which rows of ours, or none; `gof_long` takes as long as the slowest of the others that are there."""
     seeds: int = 1
     """Runs of each of ours; the others have one, with the seed that their scripts set."""
     split: str = "test"
-    """Of the scenes: test or dev."""
+    """For the scenes: test or dev."""
     python: Path = Path(sys.executable)
     """The Python that has the other methods' packages."""
 
@@ -155,7 +155,7 @@ OptimizationParams: {{iterations: {steps}, position_lr_init: 0.00016, position_t
 
 
 def freetime(config: BaselineRows, data: Path, out: Path) -> Training:
-    """Its `default_keyframe_small`; starting points by its own script.
+    """Return its `default_keyframe_small`; starting points by its own script.
 
     It writes nothing at a step whose frame it was not given (one in eight is held out), hence the last eight steps.
     """
@@ -177,7 +177,7 @@ OTHERS = {"wu": wu, "yang": yang, "freetime": freetime}
 
 
 def duration(data: Path) -> float:
-    """Of the clip, s."""
+    """Return the length of the clip, s."""
     times = Dataset.open(data).times_s
     return float(times[-1] - times[0])
 
@@ -186,7 +186,7 @@ def duration(data: Path) -> float:
 
 
 def measured(words: list[str], log: Path) -> StageCost:
-    """Run a command in its log's folder: processor seconds and peak memory. Raises GofError: it failed."""
+    """Run a command in its log's folder: CPU seconds and peak memory. Raises GofError: it failed."""
     print(" ".join(words), flush=True)
     with log.open("a") as file:
         process = subprocess.Popen(words, stdout=file, stderr=subprocess.STDOUT, cwd=log.parent)
@@ -194,7 +194,7 @@ def measured(words: list[str], log: Path) -> StageCost:
     process.returncode = os.waitstatus_to_exitcode(status)
     if process.returncode:
         raise GofError(f"{words[1:5]} ended with status {process.returncode}; its words are in {log}")
-    return StageCost("processor", usage.ru_utime + usage.ru_stime, usage.ru_maxrss / 1024)
+    return StageCost("CPU", usage.ru_utime + usage.ru_stime, usage.ru_maxrss / 1024)
 
 
 def train_other(config: BaselineRows, name: str, data: Path, out: Path) -> None:
@@ -232,7 +232,7 @@ def train_other(config: BaselineRows, name: str, data: Path, out: Path) -> None:
 
 
 def last_of(result: Path) -> Path:
-    """The file of that name, or of the files that match it the one that was written last."""
+    """Return the file of that name, or of the files that match it the one that was written last."""
     return max(result.parent.glob(result.name), key=lambda path: path.stat().st_mtime_ns, default=result)
 
 
@@ -255,7 +255,7 @@ def train_ours(config: BaselineRows, name: str, data: Path, out: Path, seed: int
 
 
 def equal_steps(config: BaselineRows, data: Path, out: Path) -> int:
-    """Steps of ours that take as many processor seconds as the slowest of the others took on this scene."""
+    """Return steps of ours that take as many CPU seconds as the slowest of the others took on this scene."""
     runs = [out / "submissions" / name / data.name for name in OTHERS]
     theirs = [seconds(run) for run in runs if (run / "costs.json").is_file()]
     ours = seconds(out / "submissions/gof" / data.name / "seed_0")
@@ -273,13 +273,13 @@ def fresh(folder: Path) -> Path:
 
 
 def add(result: Path, data: Path, run: Path, options: tuple[str, ...], log: Path, costs: list[StageCost]) -> None:
-    """`gof benchmark add`; costs.json then says processor seconds, which others on the machine do not change."""
+    """`gof benchmark add`; costs.json then says CPU seconds, which others on the machine do not change."""
     shutil.rmtree(run, ignore_errors=True)
     submission, words = (run.parent, ()) if run.name == data.name else (run.parent.parent, ("--run", run.name))
     command = python_command("-m", "gof", "benchmark", "add", f"{result}", f"{submission}", "--dataset", f"{data}")
     measured([*command, *words, *options], log)
     peak = max(cost.peak_mb for cost in costs)
-    total = StageCost("processor", sum(cost.seconds for cost in costs), peak)
+    total = StageCost("CPU", sum(cost.seconds for cost in costs), peak)
     write_record(run / "costs.json", Costs((total,), total.seconds))
 
 
@@ -287,7 +287,7 @@ def say(submission: Path, about: dict) -> None:
     """method.json: the seconds are the mean of the runs that are there."""
     runs = [seconds(path.parent) for path in submission.rglob("costs.json")]
     peaks = [stage.peak_mb for path in submission.rglob("costs.json") for stage in StageLog(path).stages()]
-    more = {"hardware": "one thread of a processor, shared: processor seconds", "random": True}
+    more = {"hardware": "one thread of a CPU, shared: CPU seconds", "random": True}
     more |= {"train_seconds": sum(runs) / len(runs), "memory_mb": max(peaks)}
     write_json(submission / "method.json", json.loads(json.dumps(about | more)))
 

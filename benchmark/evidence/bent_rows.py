@@ -1,4 +1,4 @@
-"""What straight sensor lines cost: undistorting bends the lines of a sensor, the renderer draws straight ones.
+"""The cost of straight sensor lines: undistorting bends the lines of a sensor, the renderer draws straight ones.
 
     python -m gof_benchmark.evidence.bent_rows [--captures FOLDER] [--json FILE]
 
@@ -17,7 +17,7 @@ from pathlib import Path
 import numpy as np
 import tyro
 
-from gof.capture.brightness import sample
+from gof.capture.locate import sample
 from gof.core.cameras import Camera
 from gof.core.errors import GofError
 from gof.core.files import write_json
@@ -32,19 +32,19 @@ GAUSSIANS = 20_000
 
 
 def read_times(lens: Lens) -> np.ndarray:
-    """(H, W) s after the sensor's first line at which each pixel of a prepared picture was read: a picture of its own
-    row numbers, prepared as footage is."""
+    """Return (H, W) s after the sensor's first line at which each pixel of a prepared picture was read: a picture of
+    its own row numbers, prepared as footage is."""
     rows = np.repeat(np.arange(lens.height, dtype=np.float32)[:, None], lens.width, 1)
     return ROW_TIME_S * prepare(rows, lens, TURN).astype(np.float64)
 
 
 def straight_times(lens: Lens) -> np.ndarray:
-    """(H, W) s: the same as the renderer has it, every line of the sensor a line of the prepared picture."""
+    """Return (H, W) s: the same as the renderer has it, every line of the sensor a line of the prepared picture."""
     return read_times(replace(lens, distortion=np.zeros(0)))
 
 
 def flame_pixels(clip: Path, size: tuple[int, int], every: int = 10) -> tuple[np.ndarray, np.ndarray]:
-    """Where flame is in every tenth frame, and how fast its picture moves there by OpenCV's DIS flow.
+    """Return where flame is in every tenth frame, and how fast its picture moves there by OpenCV's DIS flow.
 
     Args:
         size: (width, height) of the picture in which to give the pixels.
@@ -67,8 +67,8 @@ def flame_pixels(clip: Path, size: tuple[int, int], every: int = 10) -> tuple[np
 
 
 def rising_flame() -> TransientGaussians:
-    """A column 0.5 m wide and 1.5 m high of Gaussians that rise at 4 m/s and whirl at 1 m/s: the speed of the fast
-    clips."""
+    """Return a column 0.5 m wide and 1.5 m high of Gaussians that rise at 4 m/s and whirl at 1 m/s: the speed of the
+    fast clips."""
     rng = np.random.default_rng(0)
     n = GAUSSIANS
     return TransientGaussians(
@@ -85,7 +85,7 @@ def rising_flame() -> TransientGaussians:
 
 
 def drawn(flame: TransientGaussians, camera: Camera, times: np.ndarray) -> np.ndarray:
-    """(H, W, 3) the flame as a camera sees it that reads each pixel at its own time, (H, W) s."""
+    """Return (H, W, 3) the flame as a camera sees it that reads each pixel at its own time, (H, W) s."""
     from gof.render import render
 
     delay = np.zeros(len(flame))
@@ -140,7 +140,7 @@ def measure_camera(lens: Lens, clips: list[Path]) -> dict[str, float]:
 
 @dataclass(frozen=True)
 class BentRows:
-    """What straight sensor lines cost, with the real lenses and clips."""
+    """Measure the cost of straight sensor lines, with the real lenses and clips."""
 
     captures: Path = Path(os.environ.get("GOF_CAPTURES", Path(__file__).parents[3] / "shared" / "captures"))
     """Folder with calibration/*.npz and capture_0N/scene_000N/cam_N.mp4; GOF_CAPTURES names it too."""

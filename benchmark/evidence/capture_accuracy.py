@@ -99,7 +99,7 @@ def main(argv: list[str] | None = None) -> None:
 
 
 def synthetic(frames: int, repeats: int) -> list[Row]:
-    """All sweeps; every case from `repeats` other starts, rms over them."""
+    """Return all sweeps; every case from `repeats` other starts, rms over them."""
     template = BoardTemplate.load("gof_board")
     cases = [({}, None)] + [({name: value}, None) for name, values in SWEEPS.items() for value in values]
     cases += [(change, codec) for codec, change in COMPRESSED]
@@ -151,7 +151,7 @@ def _synthetic_line(row: Row, shown: int) -> str:
 
 
 def real(captures: Path, plots: Path | None) -> list[Row]:
-    """Every clip folder of three cameras below `captures`."""
+    """Return every clip folder of three cameras below `captures`."""
     scenes = sorted(p.parent for p in captures.glob("*/*/cam_0.mp4"))
     if not scenes:
         print(f"skipped: no clips at {captures} (give --captures, or set GOF_CAPTURES)")
@@ -209,7 +209,7 @@ def _real_line(row: Row) -> str:
 
 
 def cost(frames: int) -> list[Row]:
-    """Options and clip lengths, on one rendered shot with codec (JPEG 30), mean of three starts."""
+    """Return options and clip lengths, on one rendered shot with codec (JPEG 30), mean of three starts."""
     template = BoardTemplate.load("gof_board")
     shot = SyntheticShot(noise=4)
     known = DecodeOptions(fps=400.0, row_time_us=3.0, readout="left")

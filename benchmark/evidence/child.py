@@ -19,7 +19,7 @@ os._exit(0)
 
 
 def command(function: Callable, *arguments: Any) -> list[str]:
-    """The command line that calls a module's function and prints what it returns, both as JSON."""
+    """Return the command line that calls a module's function and prints what it returns, both as JSON."""
     module = function.__module__
     if module == "__main__":
         module = sys.modules["__main__"].__spec__.name  # of a script that was started with -m

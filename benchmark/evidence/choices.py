@@ -1,4 +1,4 @@
-"""What each choice of the method is worth today: ours, and ours with one choice after another undone; and the paper's.
+"""The worth of each choice of the method today: ours, and ours with one choice after another undone; and the paper's.
 
     python -m gof_benchmark.evidence.choices DATASET --out out/choices [--only "paper's fusion" ...] [--json FILE]
 
@@ -24,7 +24,12 @@ from gof.reconstruct.pipeline import reconstruct
 from gof.reconstruct.presets import Effort
 from gof.reconstruct.settings import ReconstructionSettings
 from gof.reconstruct.shrink import shrink
-from gof_benchmark.evidence.small import SMALL
+
+# ----------------------------------------------------------------
+# How much work the reconstructions are that evidence compares with each other.
+
+SMALL = Effort(iterations=800, gaussians=15_000, voxels=72, longest_side=160)
+"""Under a minute each of two free cores on the demo."""
 
 
 def _seeding(**fields) -> Method:
@@ -36,7 +41,8 @@ def _rates(**fields) -> Method:
 
 
 def _one_velocity(times: float) -> Method:
-    """What the method was before gas and light had a velocity each: it hardly moves in the optimisation, times 1."""
+    """Return what the method was before gas and light had a velocity each: it hardly moves in the optimisation, times
+    1."""
     return replace(OURS, gas_apart=False, rates=replace(OURS.rates, velocity=0.0002 * times))
 
 
@@ -80,7 +86,7 @@ class Choices:
     only: tuple[str, ...] = ()
     """Names of rows; all of them without."""
     effort: tyro.conf.OmitArgPrefixes[Effort] = SMALL
-    """Of every reconstruction."""
+    """For every reconstruction."""
     seed: int = 0
     json: Path | None = None
     """Also write the figures to this file."""

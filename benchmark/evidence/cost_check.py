@@ -3,7 +3,7 @@
     python -m gof_benchmark.evidence.cost_check --work out/cost_check
 
 Makes two datasets and compares them with their predictions; then the bake and the renders of the first once more in a
-bare script: one process that calls Blender and keeps what Blender writes. Processor seconds, because a busy machine
+bare script: one process that calls Blender and keeps what Blender writes. CPU seconds, because a busy machine
 stretches the clock but hardly them.
 """
 
@@ -38,7 +38,7 @@ class CostCheck:
 
 @dataclass(frozen=True)
 class Usage:
-    """Wall and processor seconds of a command and everything it started."""
+    """Wall and CPU seconds of a command and everything it started."""
 
     wall_s: float
     cpu_s: float
@@ -46,12 +46,12 @@ class Usage:
 
 @dataclass(frozen=True)
 class Real:
-    """What a dataset took; `processor_s` is over all cores, `load` the machine's at the end."""
+    """The cost of a dataset; `cpu_s` is over all cores, `load` the machine's at the end."""
 
     wall_s: float
     cpu_s: float
     load: float
-    processor_s: float
+    cpu_s: float
     memory_mb: float
     disk_mb: float
 
@@ -72,7 +72,7 @@ def main(argv: list[str] | None = None) -> None:
 
 
 def specs() -> list[SceneSpec]:
-    """A part of the studio's draft, and a small cloister.
+    """Return a part of the studio's draft, and a small cloister.
 
     Other surroundings, fires, sizes and effects than the calibration's.
     """
@@ -94,7 +94,7 @@ def check(spec: SceneSpec, coefficients: machine.Machine, work: Path) -> Real:
     """Make a dataset and print its rows."""
     real, predicted = make(spec, work), machine.predict(spec, coefficients)
     for quantity, was, is_ in (
-        ("processor_s", predicted.total_s, real.processor_s),
+        ("cpu_s", predicted.total_s, real.cpu_s),
         ("memory_mb", predicted.memory_mb, real.memory_mb),
         ("disk_mb", predicted.disk_mb, real.disk_mb),
     ):
@@ -115,7 +115,7 @@ def make(spec: SceneSpec, work: Path) -> Real:
     real = Real(
         **asdict(used),
         load=os.getloadavg()[0],
-        processor_s=used.cpu_s / os.cpu_count(),
+        cpu_s=used.cpu_s / os.cpu_count(),
         memory_mb=peak_mb["bake"] + peak_mb["render"],
         disk_mb=sum(path.stat().st_size for path in root.rglob("*") if path.is_file()) / 2**20,
     )
@@ -128,7 +128,7 @@ def spec_file(spec: SceneSpec, work: Path) -> Path:
 
 
 def bare_usage(spec: SceneSpec, work: Path) -> Usage:
-    """What `bare` takes for a spec, measured once."""
+    """Return what `bare` takes for a spec, measured once."""
     result = work / "bare.json"
     if not result.exists():
         write_json(result, asdict(usage(child.command(bare, str(spec_file(spec, work)), str(work / "bare")))))
@@ -147,7 +147,7 @@ def usage(command: list[str]) -> Usage:
 
 
 def bare(spec_path: str, folder: str) -> None:
-    """The bake and the renders of a spec with Blender's own calls; in a process of its own."""
+    """Run the bake and the renders of a spec with Blender's own calls; in a process of its own."""
     import bpy
 
     from gof_blender.scene import build, fire, render, rig

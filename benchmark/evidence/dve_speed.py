@@ -70,7 +70,7 @@ def main(argv: list[str] | None = None) -> None:
 
 
 def compare(store: Path, count: int, n: int, with_scipy: bool) -> dict[str, Any]:
-    """Costs of "gof", and of "scipy" where it is asked for, their ratios and how far their results differ."""
+    """Return costs of "gof", and of "scipy" where it is asked for, their ratios and how far their results differ."""
     gof = child.call(run_gof, str(store), count, n)
     mean = np.array(gof.pop("mean"))
     if not with_scipy:
@@ -145,7 +145,7 @@ def gaussians(count: int, n: int) -> TransientGaussians:
 def means_with_scipy(
     sequence: VelocitySequence, position: np.ndarray, scale: np.ndarray, rotation: np.ndarray
 ) -> np.ndarray:
-    """Expected velocities (N, 3) m/s."""
+    """Return expected velocities (N, 3) m/s."""
     from scipy.ndimage import map_coordinates
 
     from gof.core.rotations import rotation_matrices
@@ -169,7 +169,7 @@ def means_with_scipy(
 
 
 def run_gof(store: str, count: int, n: int) -> dict[str, Any]:
-    """Seconds of a first and of another score of the frame, peak memory, and the first expected velocities."""
+    """Return seconds of a first and of another score of the frame, peak memory, and the first expected velocities."""
     from gof.evaluate import dve
     from gof.evaluate.expectation import expected_velocity
     from gof.evaluate.sparse_grid import StoredField
@@ -186,7 +186,7 @@ def run_gof(store: str, count: int, n: int) -> dict[str, Any]:
 
 
 def run_scipy(store: str, count: int, n: int) -> dict[str, Any]:
-    """The same figures of the straightforward version."""
+    """Return the same figures of the straightforward version."""
     g, sequence = gaussians(count, n), VelocitySequence.open(store)
     means = []
     shape = (g.position.astype(np.float64), g.scale.astype(np.float64), g.rotation)
@@ -195,7 +195,7 @@ def run_scipy(store: str, count: int, n: int) -> dict[str, Any]:
 
 
 def _timed(work: Callable[[], object]) -> tuple[float, float]:
-    """Seconds on the clock and of the processor."""
+    """Return seconds on the clock and of the CPU."""
     start, cpu = time.perf_counter(), time.process_time()
     work()
     return time.perf_counter() - start, time.process_time() - cpu

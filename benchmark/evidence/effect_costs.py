@@ -1,8 +1,8 @@
-"""What each effect adds: processor seconds per solver step and per picture, memory and disk, measured one by one.
+"""The cost of each effect: CPU seconds per solver step and per picture, memory and disk, measured one by one.
 
     python -m gof_benchmark.evidence.effect_costs --out out/effect_costs
 
-Processor seconds rather than wall seconds, so that a busy machine changes little.
+CPU seconds rather than wall seconds, so that a busy machine changes little.
 """
 
 from __future__ import annotations
@@ -72,7 +72,7 @@ def _line(row: Row, more: str) -> str:
 
 
 def measure(name: str | None, folder: Path) -> Row:
-    """One small run with one effect, or with none; kept and not repeated."""
+    """Return one small run with one effect, or with none; kept and not repeated."""
     result = folder / f"{name or 'none'}.json"
     if not result.exists():
         spec = small_spec(name)
@@ -81,7 +81,7 @@ def measure(name: str | None, folder: Path) -> Row:
 
 
 def small_spec(name: str | None) -> SceneSpec:
-    """The demo's fire, coarse and short, seen by one camera, with this effect alone."""
+    """Return the demo's fire, coarse and short, seen by one camera, with this effect alone."""
     base = load_scene("demo")
     return replace(
         base,

@@ -21,7 +21,7 @@ from gof.evaluate import evaluate
 from gof.reconstruct.pipeline import reconstruct
 from gof.reconstruct.presets import Effort
 from gof.reconstruct.settings import ReconstructionSettings
-from gof_benchmark.evidence.small import SMALL
+from gof_benchmark.evidence.choices import SMALL
 from tests.moved_dataset import moved_copy
 
 UTM_AND_UNIX = Datum((5e5, 5e6, 100.0), 1.7e9)
@@ -36,7 +36,7 @@ class FarFromZero:
     out: Path = Path("out/far")
     """Folder for the copy and the reconstructions; finished ones are kept."""
     effort: tyro.conf.OmitArgPrefixes[Effort] = SMALL
-    """Of both reconstructions."""
+    """For both reconstructions."""
     seed: int = 0
 
 

@@ -16,7 +16,7 @@ import numpy as np
 import tyro
 
 from gof.host.processes import python_command
-from gof_benchmark.fires import laws, measures
+from gof_benchmark.fires import measures
 from gof_blender.pure import spec as scene_spec
 from gof_blender.pure.clip import Clip
 from gof_blender.pure.effects import vorticity
@@ -48,7 +48,7 @@ class FireSizes:
 
 
 def sized(name: str, resolution: int, speeds: str = "physical", light: str = "soot") -> SceneSpec:
-    """One of SIZES as a spec, seen by a camera at two heights' distance."""
+    """Return one of SIZES as a spec, seen by a camera at two heights' distance."""
     fire, box, fps, warm_up = SIZES[name]
     tall = max(box.size)
     return SceneSpec(
@@ -63,7 +63,7 @@ def sized(name: str, resolution: int, speeds: str = "physical", light: str = "so
 
 
 def bake(spec: SceneSpec, folder: Path) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """(velocity (T, X, Y, Z, 3) m/s, flame (T, X, Y, Z), z (Z,) m above the burner) of a spec's frames.
+    """Return (velocity (T, X, Y, Z, 3) m/s, flame (T, X, Y, Z), z (Z,) m above the burner) of a spec's frames.
 
     Baked and read in a Blender process of its own.
     """
@@ -102,7 +102,7 @@ def bake_inside(folder: Path) -> None:
 
 
 def row(spec: SceneSpec, folder: Path) -> str:
-    """A line of the table."""
+    """Return a line of the table."""
     velocity, flame, height = bake(spec, folder)
     diameter = 2 * spec.fire.radius
     speed = np.linalg.norm(velocity, axis=-1)
@@ -110,9 +110,9 @@ def row(spec: SceneSpec, folder: Path) -> str:
     tall = measures.flame_height(flame.max((1, 2)), height)
     middle = [side // 2 for side in flame.shape[1:3]]
     axis = velocity[:, middle[0] - 1 : middle[0] + 1, middle[1] - 1 : middle[1] + 1, :, 2].mean((0, 1, 2))
-    heat = laws.heskestad_heat(max(tall, 1e-6), diameter)
+    heat = measures.heskestad_heat(max(tall, 1e-6), diameter)
     at = np.array(HEIGHTS) * tall
-    over = np.interp(at, height, axis) / laws.mccaffrey_speed(at, heat)
+    over = np.interp(at, height, axis) / measures.mccaffrey_speed(at, heat)
     cut = " (leaves the box)" if tall > 0.97 * height[-1] else ""
     return (
         f"| {spec.name} | {diameter:g} | {tall:.3g}{cut} | {burning:.2f} | {speed.max((1, 2, 3)).mean():.2f} | "

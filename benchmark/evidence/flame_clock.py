@@ -59,7 +59,7 @@ def main(argv: list[str] | None = None) -> None:
 
 
 def leave_out(folder: Path, scene: str) -> list[dict]:
-    """Every camera with a clock, estimated from each other one, and from all others."""
+    """Return every camera with a clock, estimated from each other one, and from all others."""
     videos = sorted(folder.glob("cam_*.mp4"))
     read = synchronise(videos, BoardTemplate.load("paper_rig"), [DecodeOptions()] * len(videos))
     known = {c.name: (Path(c.video), c.times, read_light(Path(c.video))) for c in read.cameras if c.times}

@@ -45,7 +45,8 @@ class FlameLooks:
 
 @dataclass(frozen=True)
 class Looks:
-    """Of one fire: (BINS^3,) shares of colours, (C,) log10 power at CYCLES, (F,) log10 power at FLICKER_HZ or NaN."""
+    """One fire's looks: (BINS^3,) shares of colours, (C,) log10 power at CYCLES, (F,) log10 power at FLICKER_HZ or
+    NaN."""
 
     name: str
     colours: np.ndarray
@@ -54,7 +55,7 @@ class Looks:
 
 
 def looks(name: str, views: list[tuple[list[np.ndarray], list[np.ndarray]]], rate_hz: float) -> Looks:
-    """Of views (pictures (H, W, 3) uint8 RGB, masks (H, W) bool).
+    """Return those of views (pictures (H, W, 3) uint8 RGB, masks (H, W) bool).
 
     Raises:
         DataFormatError: no view shows any flame.
@@ -75,7 +76,8 @@ def looks(name: str, views: list[tuple[list[np.ndarray], list[np.ndarray]]], rat
 
 
 def _texture(picture: np.ndarray, mask: np.ndarray) -> np.ndarray:
-    """(C,) log10 of the power of the picture's gamma-coded luminance at CYCLES per flame height, over their sum."""
+    """Return (C,) log10 of the power of the picture's gamma-coded luminance at CYCLES per flame height, over their
+    sum."""
     rows, columns = np.nonzero(mask.any(1))[0], np.nonzero(mask.any(0))[0]
     grey = cv2.cvtColor(picture, cv2.COLOR_RGB2GRAY).astype(np.float32) * mask
     crop = grey[rows[0] : rows[-1] + 1, columns[0] : columns[-1] + 1]
@@ -92,7 +94,7 @@ def _texture(picture: np.ndarray, mask: np.ndarray) -> np.ndarray:
 
 
 def _flicker(pictures: list[np.ndarray], masks: list[np.ndarray], rate_hz: float) -> np.ndarray:
-    """(F,) log10 of the relative power of the flame's light, 1/Hz; NaN if the clip cannot tell."""
+    """Return (F,) log10 of the relative power of the flame's light, 1/Hz; NaN if the clip cannot tell."""
     if len(pictures) < 12 or rate_hz < 80 or len(pictures) / rate_hz < 0.15:
         return np.full(len(FLICKER_HZ), np.nan)
     light = np.array(
@@ -103,7 +105,7 @@ def _flicker(pictures: list[np.ndarray], masks: list[np.ndarray], rate_hz: float
 
 
 def of_clip(folder: Path, rate_hz: float) -> Looks:
-    """Of a folder with a video a camera."""
+    """Return those of a folder with a video a camera."""
     views = []
     for video in sorted(folder.glob("*.mp4")):
         pictures = [np.asarray(frame) for frame in stored_frames(video)]
@@ -114,7 +116,7 @@ def of_clip(folder: Path, rate_hz: float) -> Looks:
 
 
 def of_dataset(folder: Path) -> Looks:
-    """Of a dataset, also an unfinished one of which only the pictures are there."""
+    """Return those of a dataset, also an unfinished one of which only the pictures are there."""
     rate_hz = scene_spec.load(folder / "spec.json").clip.fps
     views = []
     for camera in sorted((folder / "cameras").iterdir()):
@@ -126,7 +128,8 @@ def of_dataset(folder: Path) -> Looks:
 
 
 def distances(one: Looks, others: list[Looks]) -> tuple[float, float, float]:
-    """(share of pixels of other colours, rms of log10 power of texture, and of flicker) to the mean of others."""
+    """Return (share of pixels of other colours, rms of log10 power of texture, and of flicker) to the mean of
+    others."""
     colours = np.abs(one.colours - np.mean([other.colours for other in others], axis=0)).sum() / 2
     texture = one.texture - np.mean([other.texture for other in others], axis=0)
     flicker = one.flicker - np.nanmean([other.flicker for other in others], axis=0)
@@ -134,7 +137,7 @@ def distances(one: Looks, others: list[Looks]) -> tuple[float, float, float]:
 
 
 def draw(generated: list[Looks], filmed: list[Looks], folder: Path) -> None:
-    """The three curves, each with the filmed fires' mean: colours as mean green by red, texture, flicker."""
+    """Draw the three curves, each with the filmed fires' mean: colours as mean green by red, texture, flicker."""
     folder.mkdir(parents=True, exist_ok=True)
     kinds = ("colours", "texture", "flicker")
     mean = Looks("filmed fires, mean", *(np.nanmean([getattr(f, k) for f in filmed], axis=0) for k in kinds))
@@ -155,7 +158,7 @@ def draw(generated: list[Looks], filmed: list[Looks], folder: Path) -> None:
 
 
 def _green_by_red(one: Looks) -> tuple[np.ndarray, np.ndarray]:
-    """(BINS,) red of pixels and the mean green of those; 0 where there are next to none."""
+    """Return (BINS,) red of pixels and the mean green of those; 0 where there are next to none."""
     centres = (np.arange(BINS) + 0.5) * 256 / BINS
     by_red_and_green = one.colours.reshape(BINS, BINS, BINS).sum(2)
     count = by_red_and_green.sum(1)

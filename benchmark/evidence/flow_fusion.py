@@ -60,10 +60,10 @@ def main(argv: list[str] | None = None) -> None:
 
 
 def choices(dataset: Dataset, seen: Observation, field: FlowField) -> dict[str, Callable[[], FlowField]]:
-    """What makes the field, by what is said of it in the table."""
+    """Return the makers of the field, by their name in the table."""
 
     def fused(flow: np.ndarray, fusion: str = "full", smooth: float = 3.0) -> FlowField:
-        """The field with another flow, fusion or smoothing; its emission stays."""
+        """Return the field with another flow, fusion or smoothing; its emission stays."""
         frames = []
         for f, frame in enumerate(field.frames):
             velocity, known = fuse_frame(field.voxels, flow[f], seen.mask[f], frame.emission, fusion, smooth)
@@ -71,9 +71,9 @@ def choices(dataset: Dataset, seen: Observation, field: FlowField) -> dict[str, 
         return replace(field, frames=tuple(frames))
 
     return {
-        "control: best constant vector (knows the truth)": lambda: best_constant(field, dataset),
-        "control: mean per height (knows the truth)": lambda: mean_per_height(field, dataset),
-        "control: buoyant law straight up (knows metres)": lambda: buoyant_law(field),
+        "trivial: best constant vector (knows the truth)": lambda: best_constant(field, dataset),
+        "trivial: mean per height (knows the truth)": lambda: mean_per_height(field, dataset),
+        "trivial: buoyant law straight up (knows metres)": lambda: buoyant_law(field),
         "default: full, smooth 3, light above plate": lambda: fused(seen.flow),
         "no smoothing": lambda: fused(seen.flow, smooth=0.0),
         "smooth 6": lambda: fused(seen.flow, smooth=6.0),
@@ -87,7 +87,7 @@ def choices(dataset: Dataset, seen: Observation, field: FlowField) -> dict[str, 
 
 
 def grey_picture(image: np.ndarray, static: np.ndarray) -> np.ndarray:
-    """The usual choice for optical flow: the display picture in grey, background and all."""
+    """Return the usual choice for optical flow: the display picture in grey, background and all."""
     return (np.clip(image, 0, 1) @ [0.299, 0.587, 0.114] * 255).astype(np.uint8)
 
 

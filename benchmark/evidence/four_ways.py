@@ -5,7 +5,7 @@
 Makes the datasets first (`gof generate --preset draft`, with fewer samples a pixel, which the denoiser forgives). The
 flame's PSNR for novel views is that of a camera that no method is given; only a scene of Gaussians can be seen from
 there. Everything is kept in WORK, and what is finished is not done again. Beside seconds and scores of each way stand
-the controls, which know the truth.
+the trivial baselines, which know the truth.
 """
 
 from __future__ import annotations
@@ -60,17 +60,17 @@ class FourWays:
     scenes: tuple[str, ...] = ("demo", "classroom", "workshop", "cloister")
     """Built-in scenes."""
     ways: tuple[Way, ...] = tuple(OPTIONS)
-    """Of the reconstruction."""
+    """For the reconstruction."""
     preset: str = "draft"
-    """Of `gof generate`."""
+    """For `gof generate`."""
     effort: tyro.conf.OmitArgPrefixes[Effort] = PRESETS["preview"]
-    """Of every reconstruction."""
+    """For every reconstruction."""
     seeds: int = 1
     """Runs of each way; the table shows their mean, and the spread of L2."""
 
 
 def made(scene: str, preset: str, work: Path) -> Path:
-    """The scene's dataset."""
+    """Return the scene's dataset."""
     spec = load_scene(scene, preset)
     samples = min(SAMPLES.get(scene, 2), spec.render.samples)
     file, folder = work / f"{scene}.json", work / scene
@@ -94,18 +94,23 @@ def scored(path: Path, way: Way, seed: int, config: FourWays) -> tuple[Scores, l
 
 
 def line(scene: str, name: str, runs: np.ndarray) -> str:
-    """A row of the table: the means of (runs, figures), empty where there is none, and the spread of the first."""
+    """Return a row of the table: the means of (runs, figures), empty where there is none, and the spread of the
+    first."""
     means = [("" if np.isnan(x) else f"{x:.{digits}f}") for x, digits in zip(runs.mean(0), DIGITS, strict=True)]
     spread = f" ± {runs[:, 0].std(ddof=1):.3f}" if len(runs) > 1 else ""
     cells = [means[0] + spread, means[1], ", ".join(means[2:4]), *means[4:]]
     return f"| {scene} | {name} | {' | '.join(cells)} |"
 
 
-def controls(scene: str, scores: Scores) -> str:
-    """The row of what knows the truth, on the Gaussians of ours."""
-    both = [scores.controls[name] for name in ("constant", "height_mean")]
-    cells = ["; ".join(f"{getattr(control, score):.3f}" for control in both) for score in ("l2", "cos_sim")]
-    return f"| {scene} | controls: constant; mean per height | {' | '.join(cells)} |" + " |" * (len(COLUMNS) - 2)
+def trivial_baselines(scene: str, scores: Scores) -> str:
+    """Return the row of what knows the truth, on the Gaussians of ours."""
+    both = [scores.trivial_baselines[name] for name in ("constant", "height_mean")]
+    cells = [
+        "; ".join(f"{getattr(trivial_baseline, score):.3f}" for trivial_baseline in both) for score in ("l2", "cos_sim")
+    ]
+    return f"| {scene} | trivial baselines: constant; mean per height | {' | '.join(cells)} |" + " |" * (
+        len(COLUMNS) - 2
+    )
 
 
 def main(argv: list[str] | None = None) -> None:
@@ -120,7 +125,7 @@ def main(argv: list[str] | None = None) -> None:
             runs = [scored(path, way, seed, config) for seed in range(config.seeds)]
             first = first or runs[0][0]
             print(line(scene, COMMANDS[way], np.array([figures for _, figures in runs])), flush=True)
-        print(controls(scene, first), flush=True)
+        print(trivial_baselines(scene, first), flush=True)
 
 
 if __name__ == "__main__":

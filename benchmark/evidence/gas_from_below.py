@@ -33,7 +33,7 @@ class GasFromBelow:
 
 
 def small_demo(resolution: int) -> SceneSpec:
-    """The demo with one camera and tiny pictures."""
+    """Return the demo with one camera and tiny pictures."""
     demo = load_scene("demo")
     return replace(
         demo,
@@ -46,7 +46,7 @@ def small_demo(resolution: int) -> SceneSpec:
 
 
 def measured(spec: SceneSpec, folder: Path) -> tuple[np.ndarray, str]:
-    """(speeds m/s at HEIGHTS_M above the burner, what the laws say of the fire) of a spec."""
+    """Return (speeds m/s at HEIGHTS_M above the burner, what the laws say of the fire) of a spec."""
     scene_spec.save(spec, folder / f"{spec.name}.json")
     generate.main([str(folder / f"{spec.name}.json"), "--out", str(folder / spec.name)])
     flame = flame_of(folder / spec.name)

@@ -1,4 +1,4 @@
-"""What it is worth to ask the flow field for the gas again, where the pictures have brought each Gaussian.
+"""The worth of asking the flow field for the gas again, where the pictures have brought each Gaussian.
 
     python -m gof_benchmark.evidence.gas_lookup DATASET RESULT [DATASET RESULT ...]
 
@@ -39,7 +39,7 @@ class GasLookup:
 
 
 def told(result: TransientGaussians, seeds: TransientGaussians, field: FlowField) -> Iterator[TransientGaussians]:
-    """The three, in the table's order."""
+    """Yield the three, in the table's order."""
     yield replace(result, gas_velocity=seeds.gas_velocity)
     velocity, _ = gas_at(field, result.position, result.t_mu)
     yield replace(result, gas_velocity=np.where(np.isfinite(velocity), velocity, seeds.gas_velocity))
@@ -54,7 +54,7 @@ def score(gaussians: TransientGaussians, dataset: Dataset) -> str:
 
 
 def row(path: Path, folder: Path) -> str:
-    """A line of the table. Raises GofError: the result has other Gaussians than its seeds."""
+    """Return a line of the table. Raises GofError: the result has other Gaussians than its seeds."""
     dataset = Dataset.open(path)
     field = see_again(dataset, folder).field
     result, seeds = (TransientGaussians.load(folder / name) for name in ("result.npz", "seeds.npz"))

@@ -1,4 +1,4 @@
-"""What is left of the motion when the footage is bad? Prints a table.
+"""The motion that is left when the footage is bad. Prints a table.
 
     python -m gof_benchmark.evidence.hard_cases DATASET [--optimise --out out/hard_cases]
 
@@ -31,9 +31,8 @@ from gof.reconstruct.observation import observe
 from gof.reconstruct.pipeline import reconstruct
 from gof.reconstruct.settings import ReconstructionSettings
 from gof.reconstruct.shrink import shrink
-from gof_benchmark.evidence.small import SMALL
-from gof_benchmark.training.field_score import score, within
-from gof_benchmark.training.preview_field import open_small, preview_field
+from gof_benchmark.evidence.choices import SMALL
+from gof_benchmark.training.field_score import open_small, preview_field, score, within
 
 
 @dataclass(frozen=True)
@@ -92,7 +91,7 @@ def spoiled(
     step: int = 1,
     metres: bool = True,
 ) -> Spoiled:
-    """The dataset with other pictures, in a world that is turned (3, 3), with every `step`-th frame only.
+    """Return the dataset with other pictures, in a world that is turned (3, 3), with every `step`-th frame only.
 
     Args:
         plate: what becomes of plates; without it what becomes of pictures.
@@ -114,7 +113,7 @@ def spoiled(
 
 
 def _every(dataset: Dataset, step: int) -> DatasetDescription:
-    """The description with every `step`-th frame, of which every 8th is held out."""
+    """Return the description with every `step`-th frame, of which every 8th is held out."""
     said = dataset.description
     times = tuple(dataset.times_s[::step].tolist())
     test = tuple(range(4, len(times), 8))
@@ -129,7 +128,7 @@ def about_x(degrees: float) -> np.ndarray:
 
 
 def dim(share: float) -> Picture:
-    """Camera 0 gets so much of its light."""
+    """Return camera 0 gets so much of its light."""
     return lambda image, camera, _: linear_to_srgb(share * srgb_to_linear(image)) if camera == 0 else image
 
 
@@ -140,7 +139,7 @@ def noisy(levels: float) -> Picture:
 
 
 def behind_a_beam(dataset: Dataset) -> Picture:
-    """A dull grey beam, a tenth of the picture thick, lies across the middle of the flame in camera 0."""
+    """Return a dull grey beam, a tenth of the picture thick, lies across the middle of the flame in camera 0."""
     light = np.mean([dataset.image(0, f) - dataset.static(0) for f in dataset.train_frames[::4]], axis=0).sum(-1)
     upright = abs(dataset.cameras[0].world_to_camera[1, 2]) > 0.7  # else the camera lies on its side
     profile = light.clip(0).sum(1 if upright else 0)
@@ -190,7 +189,7 @@ def plate_with_fire(dataset: Dataset) -> Picture:
 
 
 def cases(dataset: Dataset) -> dict[str, Dataset]:
-    """What is wrong -> the dataset that it is wrong with."""
+    """Return what is wrong -> the dataset that it is wrong with."""
     beam = behind_a_beam(dataset)
     rate = 1 / dataset.frame_time_s
     return {

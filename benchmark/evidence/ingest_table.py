@@ -1,4 +1,5 @@
-"""What `gof ingest` found in real clips, one row a dataset: poses, their checks, the vertical, fire left in the plates.
+"""Findings of `gof ingest` in real clips, one row a dataset: poses, their checks, the vertical, fire left in the
+plates.
 
     python -m gof_benchmark.evidence.ingest_table DATASET...
 
@@ -23,7 +24,7 @@ HEAD = ("clip", "poses", "turns 01, 12", "baselines 12/01", "board px", "least m
 
 @dataclass
 class TableConfig:
-    """What `gof ingest` found in real clips, one row a dataset."""
+    """Tabulate the findings of `gof ingest` in real clips, one row a dataset."""
 
     datasets: tyro.conf.Positional[list[Path]]
     """Folders made by `gof ingest`."""
@@ -37,7 +38,7 @@ def main(argv: list[str]) -> None:
 
 
 def row_of(folder: Path) -> tuple[str, ...]:
-    """One dataset's row."""
+    """Return one dataset's row."""
     dataset, poses = Dataset.open(folder), Poses.read(folder)
     report = poses.report
     cameras = [camera.world_to_camera for camera in dataset.cameras]
@@ -58,7 +59,7 @@ def row_of(folder: Path) -> tuple[str, ...]:
 
 
 def _turn_deg(a: np.ndarray, b: np.ndarray) -> float:
-    """Angle in degrees between two cameras (4, 4)."""
+    """Return angle in degrees between two cameras (4, 4)."""
     return float(np.rad2deg(np.arccos(np.clip((np.trace(a[:3, :3] @ b[:3, :3].T) - 1) / 2, -1, 1))))
 
 

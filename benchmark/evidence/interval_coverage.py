@@ -25,11 +25,11 @@ class CoverageConfig:
     repeats: int = 4000
     """Series per line."""
     seed: int = 0
-    """Of the series."""
+    """For the series."""
 
 
 def series(count: int, eddy_frames: float, repeats: int, rng: np.random.Generator) -> np.ndarray:
-    """(repeats, count) of mean 0 and variance 1 with correlation exp(-lag / eddy_frames)."""
+    """Return (repeats, count) of mean 0 and variance 1 with correlation exp(-lag / eddy_frames)."""
     memory = np.exp(-1 / eddy_frames) if eddy_frames else 0.0
     drawn = rng.standard_normal((repeats, count))
     for k in range(1, count):

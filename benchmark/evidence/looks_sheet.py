@@ -45,7 +45,7 @@ class LooksSheet:
     resolution: int = 48
     """Cells along each box's longest side."""
     percentage: int = 17
-    """Of 720 x 1280 pixels."""
+    """For 720 x 1280 pixels."""
     samples: int = 16
     """Cycles samples a pixel."""
     fires: tuple[str, ...] = ()
@@ -53,9 +53,9 @@ class LooksSheet:
     lights: tuple[str, ...] = ("published", "soot", "sheets")
     """Rows of the sheet, names in `ROWS`."""
     frames: int = 1
-    """Of each clip."""
+    """For each clip."""
     rate_hz: float | None = None
-    """Of the frames; each fire's own without."""
+    """For the frames; each fire's own without."""
 
 
 def main(argv: list[str] | None = None) -> None:
@@ -81,7 +81,7 @@ def with_noise(spec: SceneSpec) -> SceneSpec:
 
 
 def small(spec: SceneSpec, config: LooksSheet) -> SceneSpec:
-    """The first frames after the warm-up, seen by one camera from the middle of the arc."""
+    """Return the first frames after the warm-up, seen by one camera from the middle of the arc."""
     rate = config.rate_hz or spec.clip.fps
     warm_up = round(spec.clip.warm_up_frames * rate / spec.clip.fps)
     return replace(
@@ -94,7 +94,7 @@ def small(spec: SceneSpec, config: LooksSheet) -> SceneSpec:
 
 
 def picture(light: str, name: str, spec: SceneSpec, folder: Path) -> Path:
-    """The display picture of a spec's first frame; a line of the table is printed."""
+    """Return the display picture of a spec's first frame; a line of the table is printed."""
     layout = Layout(folder.resolve())
     claim(layout, spec)
     baked = "-" if layout.bake_marker.is_file() else f"{run_stage('bake', layout.root).cpu_s:.0f}"

@@ -26,14 +26,14 @@ from gof.reconstruct.fusion import fuse_frame
 from gof.reconstruct.methods import OURS
 from gof.reconstruct.observation import observe
 from gof.reconstruct.voxels import FlameVoxels
-from gof_benchmark.training.preview_field import open_small, preview_field
+from gof_benchmark.training.field_score import open_small, preview_field
 
 BLUR = 1.5  # px, std-dev with which voxels are drawn into a picture: they are about as large as a pixel
 
 
 @dataclass(frozen=True)
 class MotionBounds:
-    """What is missed of a flame's motion, and by whom."""
+    """Measure how much of a flame's motion is missed, and by whom."""
 
     datasets: tyro.conf.Positional[tuple[Path, ...]]
     """Datasets with true velocity."""
@@ -58,7 +58,7 @@ class Clip:
         return f"{np.sqrt(parts.sum()):.3f} | {cos_sim:.3f} | " + " | ".join(f"{part:.3f}" for part in parts)
 
     def parts(self, velocity: np.ndarray) -> np.ndarray:
-        """(3,) sums of squares: means of layers, standing within them, passing."""
+        """Return (3,) sums of squares: means of layers, standing within them, passing."""
         light = self.emission.sum(0)
         standing = (self.emission[..., None] * velocity).sum(0) / np.maximum(light, 1e-30)[:, None]
         of_layer = np.maximum(np.bincount(self.layer, light), 1e-30)
@@ -72,7 +72,7 @@ class Clip:
 
 
 def true_flow(voxels: FlameVoxels, velocity: np.ndarray, emission: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """The gas' motion in every picture: mean over a pixel's ray of the projected velocity, weighted by emission.
+    """Return the gas' motion in every picture: mean over a pixel's ray of the projected velocity, weighted by emission.
 
     Args:
         velocity: (V, 3) m/s.    emission: (V,) >= 0.
@@ -108,7 +108,7 @@ def with_speed_of(speed: np.ndarray, direction: np.ndarray) -> np.ndarray:
 
 
 def rows(field: FlowField, metres: bool, dataset: Dataset) -> dict[str, str]:
-    """What is known -> its score."""
+    """Return what is known -> its score."""
     voxels, emission, seen = field.voxels, field.emission, field.velocity
     truth = np.stack([dataset.velocity.at(frame.time_s).sample(voxels.center) for frame in field.frames])
     describer = FlameDescriber.of(field)

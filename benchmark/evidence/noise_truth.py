@@ -39,7 +39,7 @@ class NoiseTruth:
     noisy: tyro.conf.Positional[Annotated[Path, tyro.conf.arg(metavar="WITH")]]
     """The same with the effect."""
     frames: int = 6
-    """Of the clip that are compared, evenly over it; each with the one after it."""
+    """For the clip that are compared, evenly over it; each with the one after it."""
 
 
 @dataclass(frozen=True)
@@ -67,7 +67,8 @@ def main(argv: list[str] | None = None) -> None:
 
 
 def compare(without: Path, noisy: Path, frame: int, step_s: float) -> tuple[float, ...]:
-    """Of one frame: relative L2 of velocities, cell (m), distance (m), its 95th percentile, speed and gas (m/s)."""
+    """Compare one frame: relative L2 of velocities, cell (m), distance (m), its 95th percentile, speed and gas
+    (m/s)."""
     (plain, noise), (plain_next, noise_next) = (
         [load(place, k) for place in (without, noisy)] for k in (frame, frame + 1)
     )
@@ -95,7 +96,8 @@ def edge(inside: np.ndarray) -> np.ndarray:
 
 
 def own_speed(plain: Step, noise: Step, plain_next: Step, noise_next: Step, step_s: float) -> tuple[float, float]:
-    """(rms speed of the drawn edge against the gas, rms speed of the gas there), m/s, weighted by the edge's slope."""
+    """Return (rms speed of the drawn edge against the gas, rms speed of the gas there), m/s, weighted by the edge's
+    slope."""
     shape, cell = noise.flame.shape, noise.cell_m * noise.velocity.shape[0] / noise.flame.shape[0]
     velocity = np.stack([resampled(noise.velocity[..., axis], shape) for axis in range(3)], -1)
     before, after = (a.flame - resampled(b.flame, shape) for a, b in ((noise, plain), (noise_next, plain_next)))
@@ -106,7 +108,7 @@ def own_speed(plain: Step, noise: Step, plain_next: Step, noise_next: Step, step
 
 
 def carried(values: np.ndarray, cells: np.ndarray) -> np.ndarray:
-    """(X, Y, Z) values after they have moved by (X, Y, Z, 3) cells."""
+    """Return (X, Y, Z) values after they have moved by (X, Y, Z, 3) cells."""
     from scipy.ndimage import map_coordinates
 
     return map_coordinates(values, np.indices(values.shape) - np.moveaxis(cells, -1, 0), order=3, mode="nearest")

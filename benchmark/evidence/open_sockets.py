@@ -36,7 +36,8 @@ class OpenSockets:
 
 
 def commands(out: Path) -> Iterator[tuple[str, list[str]]]:
-    """A command's name and its arguments, in the order of the work; what needs files of ours finds them written."""
+    """Yield a command's name and its arguments, in the order of the work; what needs files of ours finds them
+    written."""
     data, work, packed = str(out / "data"), str(out / "work"), str(out / "packed")
     result, effort = f"{work}/result.npz", ["--steps", "20", "--gaussians", "500", "--voxels", "16"]
     yield "generate", ["demo", "--preset", "toy", "--out", data, "--views", "nerfstudio", "dynerf"]

@@ -56,7 +56,7 @@ class OrdinaryFootage:
 
 @dataclass(frozen=True)
 class Variant:
-    """What becomes of the videos, and how they are given to `gof ingest`.
+    """One treatment of the videos, and the way they are given to `gof ingest`.
 
     Attributes:
         changes: ffmpeg's options per camera that is encoded again.
@@ -75,7 +75,7 @@ class Variant:
 
 
 def variants(config: OrdinaryFootage) -> list[Variant]:
-    """The rows of the table."""
+    """Return the rows of the table."""
     rate, half = f"{config.fps:g}", f"{config.fps / 2:g}"
     fov, board = ("--fov", f"{config.fov:g}"), ("--marker-mm", f"{1000 * config.marker_m:g}")
     usual = ("--times", rate, *fov, *board)
@@ -140,7 +140,7 @@ def ffmpeg(*words: str) -> None:
 
 
 def make_videos(variant: Variant, config: OrdinaryFootage, folder: Path) -> list[Path]:
-    """The variant's videos, each camera's once."""
+    """Return the variant's videos, each camera's once."""
     folder.mkdir(parents=True, exist_ok=True)
     videos = []
     for name in (CAMERAS[c] for c in sorted(set(variant.given))):
@@ -163,7 +163,8 @@ def make_videos(variant: Variant, config: OrdinaryFootage, folder: Path) -> list
 
 
 def tagged_clockwise(data: bytes) -> bytes:
-    """An MP4 file of one track with the rotation tag of a phone held upright: players turn it clockwise by 90 degrees.
+    """Return an MP4 file of one track with the rotation tag of a phone held upright: players turn it clockwise by 90
+    degrees.
 
     The tag is the matrix in the track's header, `tkhd` (ISO/IEC 14496-12, 8.3.2): a, b, u, c, d, v, x, y, w, by which a
     point (p, q) goes to (a p + c q + x, b p + d q + y). Written here because only ffmpeg 6 and later write it.
@@ -188,7 +189,7 @@ def gof(*words: str) -> tuple[int, str]:
 
 
 def run(variant: Variant, config: OrdinaryFootage, originals: list[np.ndarray], number: int) -> tuple[str, str]:
-    """What `gof ingest` says of the variant, and how far apart in original frames its pairs are."""
+    """Return what `gof ingest` says of the variant, and how far apart in original frames its pairs are."""
     folder = config.out / f"{number:02d}"
     shutil.rmtree(folder, ignore_errors=True)
     videos = make_videos(variant, config, folder / "videos")
@@ -216,7 +217,7 @@ def run(variant: Variant, config: OrdinaryFootage, originals: list[np.ndarray], 
 
 
 def last_line(said: str) -> str:
-    """The error, without progress bars; folders are cut."""
+    """Return the error, without progress bars; folders are cut."""
     lines = [line for line in said.splitlines() if line.strip() and "━" not in line]
     where = next((k for k, line in enumerate(lines) if line.startswith(("gof", "error", "Error"))), len(lines) - 1)
     text = " ".join(line.strip() for line in lines[where:]).removeprefix("gof ingest: ")
@@ -230,7 +231,8 @@ def small(picture: np.ndarray) -> np.ndarray:
 
 
 def pairs_apart(dataset: Dataset, originals: list[np.ndarray]) -> int:
-    """Most original frames between the pictures of a moment: what each shows is looked up in the original videos."""
+    """Return most original frames between the pictures of a moment: what each shows is looked up in the original
+    videos."""
     numbers = [
         [
             int(((small(np.uint8(np.rint(255 * dataset.image(c, k)))) - originals[c]) ** 2).mean((1, 2, 3)).argmin())

@@ -1,8 +1,8 @@
-"""What a large picture of a fire costs, and which setting buys most: one picture, one setting changed at a time.
+"""The cost of a large picture of a fire, and which setting buys most: one picture, one setting changed at a time.
 
     python -m gof_benchmark.evidence.picture_costs --out out/picture_costs
 
-The demo's fire in the light of soot, one camera. Every picture is rendered in a Blender of its own, and its processor
+The demo's fire in the light of soot, one camera. Every picture is rendered in a Blender of its own, and its CPU
 seconds are those of that process between being asked and having written its files, which a busy machine hardly
 changes; plates are not counted, they are made once per camera. Printed beside them, against a reference of many
 samples:
@@ -39,12 +39,12 @@ REFERENCE = {"samples": 40, "denoise": False, "max_bounces": 2, "volume_step_rat
 
 @dataclass(frozen=True)
 class PictureCosts:
-    """Render one picture with each setting in turn, and compare processor seconds and errors."""
+    """Render one picture with each setting in turn, and compare CPU seconds and errors."""
 
     out: Path = Path("out/picture_costs")
     """Folder for the pictures and picture_costs.md; what is finished there is not made again."""
     percentage: int = 100
-    """Of 720 x 1280 pixels."""
+    """For 720 x 1280 pixels."""
     resolution: int = 64
     """Cells along the box's longest side."""
     scene: str = "demo"
@@ -53,7 +53,7 @@ class PictureCosts:
 
 @dataclass(frozen=True)
 class Variant:
-    """What differs from the base: fields of `spec.render`, of the fire, cells (a factor), or what no spec has, of
+    """The differences from the base: fields of `spec.render`, of the fire, cells (a factor), or what no spec has, of
     Blender's scene; and whether it shows the same as the reference, up to error."""
 
     name: str
@@ -143,7 +143,7 @@ def _settings(render: dict) -> str:
 
 
 def limits(cpu_s: dict[str, float]) -> str:
-    """Where the seconds of the base go, from straight lines through what was measured."""
+    """Return where the seconds of the base go, from straight lines through what was measured."""
     samples = {1: "1 sample", 2: "2 samples", 4: "base", 8: "8 samples", 16: "16 samples"}
     each, once = np.polyfit(list(samples), [cpu_s[name] for name in samples.values()], 1)
     steps = {1: "step of the march 1 (half)", 2: "base", 4: "step of the march 4", 8: "step of the march 8"}
@@ -181,7 +181,7 @@ def errors(made: Made, reference: Made) -> tuple[float, float, float]:
 
 
 def picture(variant: Variant, config: PictureCosts) -> tuple[Made, float]:
-    """A picture, rendered unless it is there, and its processor seconds."""
+    """Return a picture, rendered unless it is there, and its CPU seconds."""
     spec = _spec(variant, config)
     layout = Layout((config.out / variant.name.replace(" ", "_")).resolve())
     files, cost = layout.frame(spec.cameras.names[0], 0), layout.hidden / "study-cost.json"
@@ -193,7 +193,7 @@ def picture(variant: Variant, config: PictureCosts) -> tuple[Made, float]:
 
 
 def _spec(variant: Variant, config: PictureCosts) -> SceneSpec:
-    """The first frame after the warm-up, seen by the middle of the arc."""
+    """Return the first frame after the warm-up, seen by the middle of the arc."""
     scene = load_scene(config.scene)
     render = BASE | {"percentage": 1.0} | variant.render
     render["percentage"] = round(render["percentage"] * config.percentage)
@@ -208,7 +208,7 @@ def _spec(variant: Variant, config: PictureCosts) -> SceneSpec:
 
 
 def _prepare(layout: Layout, spec: SceneSpec, config: PictureCosts) -> None:
-    """A dataset folder whose bake and plate are there; they are borrowed where another picture has the same."""
+    """Prepare a dataset folder whose bake and plate are there; they are borrowed where another picture has the same."""
     shutil.rmtree(layout.root, ignore_errors=True)
     claim(layout, spec)
     fire = replace(spec, render=replace(spec.render, **BASE, percentage=config.percentage))
@@ -236,7 +236,7 @@ def draw_plate(root: str) -> None:
 
 
 def draw(root: str, settings: dict, light: str) -> float:
-    """In a Blender of its own: the picture, with settings of Blender's scene by dotted names; its processor seconds.
+    """In a Blender of its own: the picture, with settings of Blender's scene by dotted names; its CPU seconds.
     Writes the light that the fire adds, (H, W, 3)."""
     import time
 
@@ -273,7 +273,7 @@ def _open(root: str) -> tuple[SceneSpec, Layout]:
 
 
 def _read(path: Path) -> np.ndarray:
-    """(H, W, 3) display values of a picture."""
+    """Return (H, W, 3) display values of a picture."""
     return cv2.imread(str(path), cv2.IMREAD_COLOR).astype(np.float32)
 
 

@@ -42,7 +42,7 @@ class PlateKinds:
 
 
 def by_luminance(clip: np.ndarray, first: float, last: float) -> np.ndarray:
-    """(H, W, 3) uint8: mean of each pixel's frames between two shares (0..1) of their order by luminance.
+    """Return (H, W, 3) uint8: mean of each pixel's frames between two shares (0..1) of their order by luminance.
 
     Args:
         clip: (T, H, W, 3) uint8.
@@ -54,7 +54,7 @@ def by_luminance(clip: np.ndarray, first: float, last: float) -> np.ndarray:
 
 
 def steady(clip: np.ndarray) -> np.ndarray:
-    """The default of `gof ingest`."""
+    """Return the default of `gof ingest`."""
     low = darkest(clip)
     return plates.steady(clip, low, plates.fire_reached(clip, low))
 

@@ -39,7 +39,7 @@ class PlateWindow:
 
 
 def measure(dataset: Dataset, camera: int, config: PlateWindow, window: int) -> dict[str, float]:
-    """Share of fire left in a camera's plate, and its PSNR (dB) where fire was in the clip and everywhere."""
+    """Return share of fire left in a camera's plate, and its PSNR (dB) where fire was in the clip and everywhere."""
     used = np.arange(config.start, config.start + config.frames)
 
     def pictures(numbers: np.ndarray) -> np.ndarray:

@@ -2,13 +2,14 @@
 
     python -m gof_benchmark.evidence.real_clips DATASET... --out out/real --longest-side 854
 
-DATASETs are of `gof ingest`, best after `gof capture annotate` (the board's LEDs then do not count). The controls draw
-a held-out frame by the two frames of *the same camera* around it: their mean, and each carried half way along the
-optical flow from one to the other. No method may do that for a view that nobody filmed, but it says what compression
-and noise leave to be had: a scene in 3D that does better has seen through three cameras what one camera lost.
+DATASETs are of `gof ingest`, best after `gof capture annotate` (the board's LEDs then do not count). The trivial
+baselines draw a held-out frame by the two frames of *the same camera* around it: their mean, and each carried half way
+along the optical flow from one to the other. No method may do that for a view that was not filmed, but it says what
+compression and noise leave to be had: a scene in 3D that does better has seen through three cameras what one camera
+lost.
 
 Every row is the mean over a clip's held-out pictures; the flame is the estimated mask of `gof.footage.flame_mask`,
-"moves" the pixels that the authors' figures count (`gof.evaluate.published`). Reconstructions are kept in
+"moves" the pixels that the authors' figures count (`gof.evaluate.authors_figures`). Reconstructions are kept in
 OUT/CLIP/METHOD_SEED and go on where they were, so it may be stopped and started as one likes.
 
 `--clocks` says what is believed of the cameras' times: "read", what the dataset says; "frames", that pictures of one
@@ -32,7 +33,7 @@ from gof.core.gaussians import TransientGaussians
 from gof.dataset import Dataset
 from gof.dataset.plates import background
 from gof.evaluate import psnr, ssim
-from gof.evaluate.published import moving
+from gof.evaluate.authors_figures import moving
 from gof.footage.flame_mask import flame_mask
 from gof.reconstruct.methods import MethodName
 from gof.reconstruct.optical_flow import dis
@@ -56,11 +57,11 @@ class RealClips:
     out: Path = Path("out/real")
     """Folder for the reconstructions; finished ones are kept."""
     methods: tuple[MethodName, ...] = ("gof", "paper")
-    """Of `gof reconstruct --method`."""
+    """For `gof reconstruct --method`."""
     effort: tyro.conf.OmitArgPrefixes[Effort] = PRESETS["standard"]
-    """Of every reconstruction."""
+    """For every reconstruction."""
     clocks: tuple[Clocks, ...] = ("read",)
-    """What is believed of the cameras' times."""
+    """Belief about the cameras' times."""
     seeds: int = 1
     """Runs of each."""
 
@@ -69,7 +70,8 @@ COLUMNS = ("PSNR flame", "SSIM flame", "PSNR of what moves", "PSNR", "SSIM")
 
 
 def figures(dataset: Dataset, draw: Draw) -> np.ndarray:
-    """(5,) means of `COLUMNS` over the held-out pictures that have a frame before and after; NaN: defined in none."""
+    """Return (5,) means of `COLUMNS` over the held-out pictures that have a frame before and after; NaN: defined in
+    none."""
     rows = []
     for c in range(len(dataset.cameras)):
         board, plate = dataset.board_weight(c), dataset.static(c)
@@ -95,12 +97,13 @@ def figures(dataset: Dataset, draw: Draw) -> np.ndarray:
 
 
 def mean_of_neighbours(dataset: Dataset) -> Draw:
-    """What shows a frame as the mean of the two around it."""
+    """Return what shows a frame as the mean of the two around it."""
     return lambda c, k: (dataset.image(c, k - 1) + dataset.image(c, k + 1)) / 2
 
 
 def carried_along_flow(dataset: Dataset) -> Draw:
-    """What carries both neighbours half way along the optical flow from one to the other, and takes their mean."""
+    """Return what carries both neighbours half way along the optical flow from one to the other, and takes their
+    mean."""
 
     def draw(c: int, k: int) -> Picture:
         before, after = dataset.image(c, k - 1), dataset.image(c, k + 1)
@@ -112,14 +115,14 @@ def carried_along_flow(dataset: Dataset) -> Draw:
 
 
 def _fetched(picture: Picture, flow: np.ndarray) -> Picture:
-    """The picture moved by `flow` (H, W, 2), px, taken to change slowly over the flow's own length."""
+    """Return the picture moved by `flow` (H, W, 2), px, taken to change slowly over the flow's own length."""
     height, width = flow.shape[:2]
     x, y = np.meshgrid(np.arange(width, dtype=np.float32), np.arange(height, dtype=np.float32))
     return cv2.remap(picture.astype(np.float32), x - flow[..., 0], y - flow[..., 1], cv2.INTER_LINEAR)
 
 
 def of_result(dataset: Dataset, folder: Path) -> Draw:
-    """What draws the result of `gof reconstruct` in a folder: over its plates, or with its own still scene."""
+    """Return what draws the result of `gof reconstruct` in a folder: over its plates, or with its own still scene."""
     gaussians = TransientGaussians.load(folder / "result.npz")
     cameras = range(len(dataset.cameras))
     plates = [background(dataset, c, folder) for c in cameras] if gaussians.dynamic.all() else [None for _ in cameras]
@@ -132,7 +135,7 @@ def of_result(dataset: Dataset, folder: Path) -> Draw:
 
 
 def believing(dataset: Dataset, clocks: Clocks) -> Dataset:
-    """The dataset with other times of its cameras' pictures and lines."""
+    """Return the dataset with other times of its cameras' pictures and lines."""
     frames, snapshots = clocks in ("frames", "neither"), clocks in ("snapshots", "neither")
     cameras, times = [], {}
     for c, camera in enumerate(dataset.cameras):
@@ -146,7 +149,7 @@ def believing(dataset: Dataset, clocks: Clocks) -> Dataset:
 
 
 def line(clip: str, name: str, means: np.ndarray, spread: float | None = None, cost: str = "- | -") -> str:
-    """A row of the table."""
+    """Return a row of the table."""
     cells = [
         "-" if np.isnan(x) else f"{x:.{3 if head.startswith('SSIM') else 2}f}"
         for head, x in zip(COLUMNS, means, strict=True)
@@ -157,15 +160,15 @@ def line(clip: str, name: str, means: np.ndarray, spread: float | None = None, c
 
 
 def rows_of(path: Path, config: RealClips) -> None:
-    """Print those of a clip: the controls first, then every method."""
+    """Print those of a clip: the trivial baselines first, then every method."""
     full = Dataset.open(path)
     dataset = shrink(full, config.effort.longest_side)
-    controls = {
+    trivial_baselines = {
         "the plate alone": lambda c, k: dataset.static(c),
         "mean of the two frames around": mean_of_neighbours(dataset),
         "the same, carried along their flow": carried_along_flow(dataset),
     }
-    for name, draw in controls.items():
+    for name, draw in trivial_baselines.items():
         print(line(path.name, name, figures(dataset, draw)), flush=True)
     for method in config.methods:
         for clocks in config.clocks:

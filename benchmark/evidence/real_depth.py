@@ -10,8 +10,9 @@ at every held-out frame, completed along the picture's edges; the authors take a
     ours      ours in that same still scene, as `gof background --flame` puts them together
     alone     ours, a flame before nothing
 
-"1/depth" is `gof.evaluate.published.rmse_disparity`: scale and offset are fitted over the whole picture. "off" is the
-median of |z / stereo - 1| over those of the same pixels in which what is drawn is seen, z the mean distance of the
+"1/depth" is `gof.evaluate.authors_figures.rmse_disparity`: scale and offset are fitted over the whole picture.
+"off" is the median of |z / stereo - 1| over those of the same pixels in which what is drawn is seen, z the mean
+distance of the
 flame's Gaussians alone (of the still scene's for "still"): nothing is fitted, so it says how far before or behind the
 flame stands.
 """
@@ -29,11 +30,11 @@ from gof.core.cameras import Camera
 from gof.core.errors import GofError
 from gof.core.gaussians import TransientGaussians
 from gof.dataset import Dataset
+from gof.evaluate.authors_figures import drawn_disparity, inside, moving, rmse_disparity
 from gof.evaluate.depth import read_depth
 from gof.evaluate.image_scores import VISIBLE
-from gof.evaluate.published import drawn_disparity, inside, moving, rmse_disparity
-from gof.host.progress import progress_bar
-from gof.ingest.frame_depth import write_frame_depths
+from gof.host.terminal import progress_bar
+from gof.ingest.depth import write_frame_depths
 from gof.reconstruct.optical_flow import dis
 from gof.render import render
 
@@ -50,7 +51,7 @@ class RealDepth:
 
 @dataclass(frozen=True)
 class Drawn:
-    """What is scored under a name: `whole` for inverse depth, `part` of it for the distance of the flame alone."""
+    """The picture scored under a name: `whole` for inverse depth, `part` of it for the distance of the flame alone."""
 
     whole: TransientGaussians
     part: TransientGaussians
@@ -83,7 +84,7 @@ def what_is_drawn(folder: Path) -> dict[str, Drawn]:
 
 
 def moments(dataset: Dataset, maps: Path) -> Iterator[Moment]:
-    """Of every held-out frame that another follows."""
+    """Yield every held-out frame that another follows."""
     for c, camera in enumerate(dataset.cameras):
         board = dataset.board_weight(c)
         for k in dataset.test_frames:
@@ -106,7 +107,7 @@ def scores(drawn: Drawn, moment: Moment) -> tuple[float, float]:
 
 
 def row(path: Path, out: Path) -> str:
-    """A line of the table: means over a clip's held-out pictures."""
+    """Return a line of the table: means over a clip's held-out pictures."""
     dataset, folder = Dataset.open(path), out / path.name
     drawn = what_is_drawn(folder)
     with progress_bar("depth") as progress:

@@ -19,7 +19,7 @@ from gof.core.cameras import Camera
 from gof.reconstruct.flow_field import FlowField
 from gof.reconstruct.flow_prior import FlowPrior
 from gof.reconstruct.observation import Observation, observe
-from gof_benchmark.training.preview_field import open_small, preview_field
+from gof_benchmark.training.field_score import open_small, preview_field
 
 
 @dataclass(frozen=True)
@@ -31,14 +31,14 @@ class RealMotion:
 
 
 def of_footage(observation: Observation, camera: int) -> np.ndarray:
-    """(2,) px/s, mean of a camera's optical flow over all frames, weighted by the light above the plate."""
+    """Return (2,) px/s, mean of a camera's optical flow over all frames, weighted by the light above the plate."""
     flow, light = observation.flow[:, camera].astype(np.float64), observation.intensity[:, camera].astype(np.float64)
     known = np.isfinite(flow).all(-1) & observation.mask[:, camera]
     return (light[known][:, None] * flow[known]).sum(0) / light[known].sum()
 
 
 def of_field(field: FlowField, camera: Camera) -> np.ndarray:
-    """(2,) px/s, mean projected velocity over all voxels and frames, weighted by emission."""
+    """Return (2,) px/s, mean projected velocity over all voxels and frames, weighted by emission."""
     momentum = (field.emission[..., None] * field.velocity).sum(0)
     projected = np.einsum("vij,vj->i", camera.projection_jacobian(field.voxels.center), momentum)
     return projected / field.emission.sum()

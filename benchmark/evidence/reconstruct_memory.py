@@ -32,7 +32,7 @@ class Config:
 
 
 def measured_bytes(dataset: Path, side: int, gaussians: int, voxels: int) -> int:
-    """Peak resident size of one run. Raises RuntimeError: it failed."""
+    """Return peak resident size of one run. Raises RuntimeError: it failed."""
     with tempfile.TemporaryDirectory() as out:
         command = python_command("-m", "gof", "reconstruct", str(dataset), "--out", out, "--steps", str(STEPS))
         command += ["--max-size", str(side), "--gaussians", str(gaussians), "--voxels", str(voxels)]

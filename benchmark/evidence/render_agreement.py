@@ -88,7 +88,7 @@ def random_parameters(rng: np.random.Generator, n: int) -> Parameters:
 
 
 def reference_objective(v: Parameters, weights: np.ndarray, view: Camera) -> float:
-    """The loss by the twin, in float64."""
+    """Return the loss by the twin, in float64."""
     from gof.render import reference
 
     x, o = reference.transient_state(v["x0"], v["velocity"], v["t_mu"], v["t_sigma"], v["opacity"], TIME_S)
@@ -98,7 +98,7 @@ def reference_objective(v: Parameters, weights: np.ndarray, view: Camera) -> flo
 
 
 def gradients(values: Parameters, weights: np.ndarray, view: Camera) -> Parameters:
-    """The renderer's gradient of the same loss, in the shapes of the parameters."""
+    """Return the renderer's gradient of the same loss, in the shapes of the parameters."""
     import drjit as dr
 
     from gof.render import Splats, render_splats, transient_state
@@ -153,7 +153,7 @@ def compare_entries(
 
 
 def mitsuba_comparison(n: int = 300, spp: int = 64) -> tuple[np.ndarray, np.ndarray]:
-    """(ours, Mitsuba's) (H, W, 3) of a flame of fat Gaussians, so that the pixel filters matter little."""
+    """Return (ours, Mitsuba's) (H, W, 3) of a flame of fat Gaussians, so that the pixel filters matter little."""
     from gof.render import render
     from gof.render.mitsuba_scene import render_mitsuba
 

@@ -125,7 +125,7 @@ def _step_without_loss(training: Training) -> None:
 
 
 def _parts(trainings: dict[str, Training], repeats: int) -> dict[str, dict[str, list[float]]]:
-    """The same for parts of a step, each between synchronisations."""
+    """Return the same for parts of a step, each between synchronisations."""
     from gof.render import blend, l1_ssim
     from gof.render.backend import Float
     from gof.render.native.operation import NativeBlend
@@ -171,7 +171,7 @@ def _parts(trainings: dict[str, Training], repeats: int) -> dict[str, dict[str, 
 
 
 def _watched(function: Callable, name: str, spent: dict[str, float], dr) -> Callable:
-    """The function, which adds what it takes to `spent`."""
+    """Return the function, which adds what it takes to `spent`."""
 
     def watch(*args):
         dr.sync_thread()
@@ -185,7 +185,7 @@ def _watched(function: Callable, name: str, spent: dict[str, float], dr) -> Call
 
 
 def report(title: str, figures: dict[str, Any]) -> str:
-    """A table: CPU ms of both, ratios of the smallest and of the medians; the kernels also in ns per pair."""
+    """Return a table: CPU ms of both, ratios of the smallest and of the medians; the kernels also in ns per pair."""
     pairs = PIXELS * figures["pairs"]
     lines = [
         f"{title}, {figures['pairs']} (block, Gaussian) pairs; one thread, CPU ms: smallest (median)",

@@ -1,4 +1,4 @@
-"""What a long training meets: kernels that are compiled once, and memory that stays while the set grows.
+"""The hazards of a long training: kernels that are compiled once, and memory that stays while the set grows.
 
     python -m gof_benchmark.evidence.render_lasting [--steps 5000] [--native-only]
 
@@ -33,7 +33,7 @@ class RenderLasting:
     """Time the first step of a machine, and watch memory over a long training."""
 
     steps: int = 5000
-    """Of the training."""
+    """For the training."""
     gaussians: int = 20_000
     """At its start; after 5000 steps there are twice as many."""
     width: int = 320
@@ -45,14 +45,14 @@ class RenderLasting:
 
 
 def first_step() -> tuple[float, float]:
-    """(wall, CPU) seconds from the import of the renderer to the end of a process' first step."""
+    """Return (wall, CPU) seconds from the import of the renderer to the end of a process' first step."""
     wall, cpu = time.perf_counter(), time.process_time()
     Training(5_000, 160, 90).step()
     return time.perf_counter() - wall, time.process_time() - cpu
 
 
 def long_training(steps: int, n: int, width: int, height: int) -> list[tuple[int, int, float, int]]:
-    """(step, Gaussians, memory in MB, kernels that the process met for the first time since the line before)."""
+    """Return (step, Gaussians, memory in MB, kernels that the process met for the first time since the line before)."""
     import drjit as dr
     import psutil
 

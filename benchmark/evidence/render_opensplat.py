@@ -87,7 +87,7 @@ class RenderOpenSplat:
     build: Path
     """Folder for the library that is made of it; a finished one is kept."""
     repeats: int = 7
-    """Of each, in turn, after one that compiles."""
+    """For each, in turn, after one that compiles."""
     quick: bool = False
     """The smallest scene alone."""
     json: Path | None = None
@@ -109,7 +109,7 @@ def main(argv: list[str] | None = None) -> None:
 
 
 def compiled(clone: Path, build: Path) -> Path:
-    """The library. Raises GofError: no clone there, or it does not compile."""
+    """Return the library. Raises GofError: no clone there, or it does not compile."""
     library = build / "opensplat_cpu.so"
     if library.is_file():
         return library
@@ -132,7 +132,7 @@ def compiled(clone: Path, build: Path) -> Path:
 
 
 class Scene(ctypes.Structure):
-    """What GLUE calls so; numpy arrays that must outlive it."""
+    """GLUE's scene; numpy arrays that must outlive it."""
 
     _fields_ = (
         *((name, ctypes.c_int) for name in ("width", "height", "count")),
@@ -159,15 +159,15 @@ class OpenSplat:
         self.of_colors, self.of_opacities = np.zeros((n, 3), np.float32), np.zeros((n, 1), np.float32)
 
     def draw(self) -> int:
-        """Fills `image`; returns the lists that `differentiate` frees."""
+        """Fill `image`; returns the lists that `differentiate` frees."""
         return self.library.draw(ctypes.byref(self.scene), self.image.ctypes.data, self.left.ctypes.data)
 
     def draw_and_differentiate(self) -> None:
-        """Of the sum of squares of the picture; fills the arrays `of_...`."""
+        """Draw, and differentiate the sum of squares of the picture; fills the arrays `of_...`."""
         self._differentiate(self.draw())
 
     def draw_alone(self) -> None:
-        """Its lists are freed by the derivative alone, whose time is not counted here: see `compare`."""
+        """Draw; the lists are freed by the derivative alone, whose time is not counted here: see `compare`."""
         self.lists = self.draw()
 
     def _differentiate(self, lists: int) -> None:
@@ -207,7 +207,7 @@ def _projected(n: int, width: int, height: int) -> dict[str, np.ndarray]:
 
 
 def compare(library: ctypes.CDLL, n: int, width: int, height: int, repeats: int) -> dict[str, Any]:
-    """Wall and CPU ms of both, forward and forward + backward, in turn; and how far they agree."""
+    """Return wall and CPU ms of both, forward and forward + backward, in turn; and how far they agree."""
     ours, theirs = Training(n, width, height), OpenSplat(library, n, width, height)
     figures: dict[str, Any] = {"load": os.getloadavg()[0]}
     both = {
@@ -234,7 +234,7 @@ def _ms(run: Callable[[], object]) -> tuple[float, float]:
 
 
 def _agreement(ours: Training, theirs: OpenSplat) -> dict[str, float]:
-    """Mean difference of the pictures over their mean, and of the colours' gradients in L2."""
+    """Return mean difference of the pictures over their mean, and of the colours' gradients in L2."""
     theirs.draw_and_differentiate()
     image = np.stack([np.array(plane) for plane in ours.draw().color], -1).reshape(theirs.image.shape)
     ours.dr.clear_grad([ours.optimizer[name] for name in ours.raw])  # of all the repetitions
@@ -245,7 +245,7 @@ def _agreement(ours: Training, theirs: OpenSplat) -> dict[str, float]:
 
 
 def report(size: tuple[int, int, int], figures: dict[str, Any]) -> str:
-    """The figures in words."""
+    """Return the figures in words."""
     n, width, height = size
     lines = [f"{n} Gaussians, {width}x{height}"]
     for name in ("forward", "forward + backward"):

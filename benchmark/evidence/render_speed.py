@@ -36,7 +36,7 @@ KERNEL_GOALS_NS = {"forward": 0.8, "backward": 1.6}
 
 @dataclass(frozen=True)
 class RenderSpeed:
-    """Time a training step by its phases, against Mitsuba, a torch tile loop and the processor's limit."""
+    """Time a training step by its phases, against Mitsuba, a torch tile loop and the CPU's limit."""
 
     quick: bool = False
     """Small scene, few repetitions: does the script run."""
@@ -54,7 +54,7 @@ def main(argv: list[str] | None = None) -> None:
 
 
 def best(function: Callable[[], object], repeats: int) -> tuple[float, float]:
-    """(wall ms, CPU ms): the smallest of each."""
+    """Return (wall ms, CPU ms): the smallest of each."""
     wall, cpu = math.inf, math.inf
     for _ in range(repeats):
         w, c = time.perf_counter(), time.process_time()
@@ -88,7 +88,7 @@ class Training:
         self.target = Target(np.random.default_rng(1).random((height, width, 3)))
 
     def add(self, more: TransientGaussians) -> None:
-        """Gaussians behind those that there are, without Adam's moments, as density control adds them."""
+        """Add Gaussians behind those that there are, without Adam's moments, as density control adds them."""
         born = Training(len(more), self.camera.width, self.camera.height, more).raw
         self.optimizer.regroup(born, np.arange(self.n), born, np.arange(self.n + len(more)))
         self.n += len(more)
@@ -125,7 +125,7 @@ class Training:
         self.dr.sync_thread()
 
     def phases(self, repeats: int) -> dict[str, tuple[float, float]]:
-        """(wall, CPU) ms of each phase of the Dr.Jit kernels on its own, with a synchronisation after it.
+        """Return (wall, CPU) ms of each phase of the Dr.Jit kernels on its own, with a synchronisation after it.
 
         `render_kernels` has those of the native ones beside them.
         """
@@ -217,7 +217,7 @@ def one_thread(training: Training, repeats: int) -> dict:
 
 
 def mitsuba_peer(n: int, width: int, height: int, ours: bool) -> dict:
-    """Times of `volprim_rf_basic` on the same scene, in this process."""
+    """Return times of `volprim_rf_basic` on the same scene, in this process."""
     import drjit as dr
     import mitsuba as mi
 
@@ -252,7 +252,7 @@ def mitsuba_peer(n: int, width: int, height: int, ours: bool) -> dict:
 
 
 def torch_peer(n: int, width: int, height: int, repeats: int) -> dict[str, Any]:
-    """A straightforward rasteriser: project, sort, loop over 16x16 tiles, blend with cumprod, autograd."""
+    """Return a straightforward rasteriser: project, sort, loop over 16x16 tiles, blend with cumprod, autograd."""
     import torch
 
     g, view = flame(n), camera(width, height)
@@ -307,7 +307,7 @@ def _torch_project(position, rotation, scale, view):
 
 
 def _torch_tiles(mean, depth, covariance, opacity, color, width: int, height: int):
-    """(H, W, 3): every tile blends the Gaussians whose 3 sigma square touches it, front to back."""
+    """Return (H, W, 3): every tile blends the Gaussians whose 3 sigma square touches it, front to back."""
     import torch
 
     conic, order = torch.linalg.inv(covariance), torch.argsort(depth.detach())
@@ -372,7 +372,7 @@ def _exponent(xs: list[float], ys: list[float]) -> float:
 
 
 def measure(quick: bool) -> dict[str, Any]:
-    """All figures."""
+    """Return all figures."""
     import drjit as dr
 
     from gof.render.backend import kernels
@@ -416,7 +416,7 @@ def _warm(training: Training) -> Training:
 
 
 def _kernels(result: dict[str, Any]) -> dict[str, dict[str, float]]:
-    """Time of the blend kernels per evaluated (pixel, Gaussian) pair, and what the processor's vector rate allows."""
+    """Time of the blend kernels per evaluated (pixel, Gaussian) pair, and what the CPU's vector rate allows."""
     evaluated = 16 * result["pairs"]  # a pair of a 4x4 block and a Gaussian is 16 pixels
     return {
         name: {
@@ -445,7 +445,7 @@ def _against_torch(quick: bool, repeats: int) -> dict[str, Any]:
 
 
 def report(r: dict[str, Any]) -> str:
-    """All tables."""
+    """Return all tables."""
     return "\n".join([*_times(r), "", *_ratios(r), "", *_kernel_limits(r), "", *_growth_table(r)])
 
 

@@ -2,7 +2,7 @@
 
     python -m gof_benchmark.evidence.ring_accuracy [--frames 60] [--only TEXT] [--json FILE]
 
-The pictures have exact rolling shutter and exposure (gof/capture/synthetic_ring.py, which shares only the board's
+The pictures have exact rolling shutter and exposure (gof/capture/synthetic.py, which shares only the board's
 template with the reader) and are read from files, as `gof capture sync --board rocsync` reads a camera's.
 """
 
@@ -19,8 +19,7 @@ from gof.capture.decode import DecodeOptions
 from gof.capture.ring_board import RingBoard
 from gof.capture.ring_decode import decode_ring
 from gof.capture.ring_signals import read_ring_signals
-from gof.capture.synthetic import SyntheticShot
-from gof.capture.synthetic_ring import RingShot, render_ring
+from gof.capture.synthetic import RingShot, SyntheticShot, render_ring
 from gof.core.files import write_json
 from gof.footage.pictures import write_picture
 
@@ -65,7 +64,8 @@ class RingAccuracy:
 
 
 def measure(shot: RingShot, frames: int) -> dict[str, float]:
-    """Errors in us of the fused times and of single frames (which see no arc within one step), and the row time."""
+    """Return errors in us of the fused times and of single frames (which see no arc within one step), and the row
+    time."""
     board = RingBoard.load("rocsync")
     with tempfile.TemporaryDirectory() as folder:
         for k, picture in enumerate(render_ring(shot, board, frames)):

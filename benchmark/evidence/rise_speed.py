@@ -4,7 +4,7 @@
 
 No truth is needed: DATASET may come from `gof ingest`, RESULT is a folder of `gof reconstruct`, at whose picture size
 all is measured. Per camera: the slope of bright traces in the picture of height against time
-(`gof_benchmark.training.space_time`), of the footage; and over it, that of the reconstruction drawn at the same times,
+(below), of the footage; and over it, that of the reconstruction drawn at the same times,
 and drawn four times as often, where a flame whose Gaussians only fade out and in would stand still between frames.
 "gas" is the mean upward motion of the Gaussians themselves, weighted by what they show: texture lags behind the gas, so
 this is to be more.
@@ -17,6 +17,7 @@ from pathlib import Path
 
 import numpy as np
 import tyro
+from scipy.ndimage import gaussian_filter1d, map_coordinates
 
 from gof.core.cameras import Camera
 from gof.core.gaussians import TransientGaussians
@@ -28,7 +29,6 @@ from gof.reconstruct.observation import light_above
 from gof.reconstruct.settings import FILE, ReconstructionSettings
 from gof.reconstruct.shrink import shrink
 from gof.render import render
-from gof_benchmark.training.space_time import climb
 
 OFTENER = 4
 
@@ -42,13 +42,13 @@ class RiseSpeed:
 
 
 def flames_place(dataset: Dataset, camera: int) -> np.ndarray:
-    """(H, W) bool: where the footage ever has flame, which a board's lights are not."""
+    """Return (H, W) bool: where the footage ever has flame, which a board's lights are not."""
     static = dataset.static(camera)
     return np.any([flame_mask(dataset.image(camera, k), static) for k in range(len(dataset.times_s))], axis=0)
 
 
 def rows_of(picture: np.ndarray, plate: np.ndarray, place: np.ndarray) -> np.ndarray:
-    """(R,) light above the plate in every row that the flame's place has."""
+    """Return (R,) light above the plate in every row that the flame's place has."""
     light = light_above(picture, plate[..., :3])[..., 1] * place
     return light.sum(1)[place.any(1)]
 
@@ -56,7 +56,7 @@ def rows_of(picture: np.ndarray, plate: np.ndarray, place: np.ndarray) -> np.nda
 def drawn_rows(
     gaussians: TransientGaussians, camera: Camera, plate: np.ndarray, place: np.ndarray, times: np.ndarray
 ) -> np.ndarray:
-    """(T, R) light of the reconstruction at these times."""
+    """Return (T, R) light of the reconstruction at these times."""
     behind = plate if gaussians.dynamic.all() else None
     pictures = (render(gaussians, camera, float(t), background=behind)["color"] for t in times)
     return np.stack([rows_of(np.clip(picture, 0, 1), plate, place) for picture in pictures])
@@ -101,3 +101,64 @@ def main(argv: list[str] | None = None) -> None:
 
 if __name__ == "__main__":
     main()
+
+
+# ----------------------------------------------------------------
+# How fast bright structures climb in a clip, from the slope of their traces in a picture of height against time.
+#
+# What a person does with a ruler on such a picture, who needs no optical flow and no truth.
+
+FADE = 0.06  # of the height: structures larger than this are the flame's own shape
+SPEEDS = 240  # that are tried between no motion and the fastest
+FARTHEST = 0.25  # of the height: no structure is followed farther
+
+
+def traces(light: np.ndarray) -> np.ndarray:
+    """Return (T, H): what of a clip's light per row and frame moves: without its mean over time, and without broad
+    shapes.
+
+    Args:
+        light: (T, H) light of every row, from the top of the picture, >= 0.
+    """
+    steady = light - light.mean(0)
+    fine = steady - gaussian_filter1d(steady, FADE * light.shape[1], axis=1, mode="nearest")
+    spread = fine.std(0)  # faint rows count as bright ones do, but for those with next to no light
+    return fine / np.maximum(spread, 0.05 * spread.max(initial=1e-12))
+
+
+def climb(light: np.ndarray, frame_s: float, frames_apart: tuple[int, ...] = (2, 3, 4, 5, 6)) -> float:
+    """Return speed of the traces, px/s, positive towards the top: that at which rows agree best with later ones above
+    them.
+
+    Args:
+        light: (T, H).   frame_s: between frames.
+        frames_apart: pairs of frames that are compared; over many the structures have changed, over one the slope is
+            drawn from a pixel or two.
+    Returns:
+        nan where the clip is too short or nothing changes.
+    """
+    height = light.shape[1]
+    moving = traces(light)
+    if len(light) <= 2 * max(frames_apart) or not moving.any():
+        return float("nan")
+    speeds = np.linspace(0, FARTHEST * height / max(frames_apart), SPEEDS)  # px per frame
+    agreement = np.zeros(SPEEDS)
+    for apart in frames_apart:
+        first, later = moving[:-apart], moving[apart:]
+        for k, speed in enumerate(speeds):
+            rows = np.arange(np.ceil(speed * apart), height)
+            frame = np.repeat(np.arange(len(later))[:, None], len(rows), 1)
+            above = map_coordinates(later, [frame, np.broadcast_to(rows - speed * apart, frame.shape)], order=1)
+            here = first[:, rows.astype(int)]
+            agreement[k] += (here * above).mean() / np.sqrt((here**2).mean() * (above**2).mean() + 1e-30)
+    best = int(np.argmax(agreement))
+    return float((speeds[best] + _offset(agreement, best) * speeds[1]) / frame_s)
+
+
+def _offset(values: np.ndarray, best: int) -> float:
+    """Return where the parabola through the best value and its neighbours is highest, in steps."""
+    if not 0 < best < len(values) - 1:
+        return 0.0
+    left, middle, right = values[best - 1 : best + 2]
+    bend = left - 2 * middle + right
+    return 0.5 * (left - right) / bend if bend < 0 else 0.0

@@ -24,7 +24,7 @@ from gof.evaluate import evaluate
 from gof.footage.pictures import write_picture
 from gof.reconstruct.curve import Curve
 from gof.render import render
-from gof_benchmark.training.preview_field import open_small
+from gof_benchmark.training.field_score import open_small
 
 
 @dataclass(frozen=True)
@@ -40,7 +40,7 @@ class SceneModel:
 
 
 def row(result: Path, dataset: Dataset) -> str:
-    """A line of the table."""
+    """Return a line of the table."""
     velocity = evaluate(result / "result.npz", dataset, images=False).dve
     scores = Curve.read(result).points[-1].scores
     pictures = [scores.psnr_flame, scores.ssim_flame, scores.psnr, scores.psnr_flame_novel]
@@ -50,7 +50,8 @@ def row(result: Path, dataset: Dataset) -> str:
 
 
 def views(dataset: Dataset, result: Path | None) -> np.ndarray:
-    """(2 H, W, 3): the middle camera and the first novel one at a held-out frame; without a result, the truth."""
+    """Return (2 H, W, 3): the middle camera and the first novel one at a held-out frame; without a result, the
+    truth."""
     novel = dataset.evaluation_view()
     frame = dataset.test_frames[len(dataset.test_frames) // 2]
     middle = len(dataset.cameras) // 2

@@ -1,4 +1,5 @@
-"""One scene's rows in full: pooled figures of every submission, as `gof evaluate` gives them, and the controls."""
+"""One scene's rows in full: pooled figures of every submission, as `gof evaluate` gives them, and the trivial
+baselines."""
 
 from __future__ import annotations
 
@@ -15,14 +16,14 @@ from gof.evaluate.training_curve import FILE, TrainingCurve
 FIGURES = ("gaussians", "train_s", "memory_mb", "l2", "cos_sim", "inside_l2", "inside_cos", "emission_l2")
 FIGURES += ("emission_cos", "psnr_flame", "ssim_flame", "psnr")
 PLATE = ("psnr_flame", "ssim_flame", "psnr")  # of them the plate alone has
-CONTROLS = ("zero", "constant", "height_mean")
+SHOWN = ("zero", "constant", "height_mean")
 
 
 def table(submissions: list[Path], scene: str) -> str:
-    """Markdown: a line for each submission that has the scene (means over its runs), then the controls.
+    """Markdown: a line for each submission that has the scene (means over its runs), then the trivial baselines.
 
-    The last column is by how much the mean training loss fell from the fourth fifth of the steps to the last. Controls
-    are on the Gaussians of the first flame alone, where there is one: a whole scene's are mostly its room.
+    The last column is by how much the mean training loss fell from the fourth fifth of the steps to the last. Trivial
+    baselines are on the Gaussians of the first flame alone, where there is one: a whole scene's are mostly its room.
 
     Args:
         submissions: folders (`gof.evaluate.submission`); what their scores.json say is taken as it is.
@@ -40,7 +41,7 @@ def table(submissions: list[Path], scene: str) -> str:
             there.append(runs[0])
     if there:
         whose = next((run for run in there if run.scores.import_.over_plates), there[0])
-        lines += [*_controls(whose.scores), "", f"Controls: on the Gaussians of {whose.name}."]
+        lines += [*_trivial_lines(whose.scores), "", f"Trivial baselines: on the Gaussians of {whose.name}."]
     return "\n".join(lines) + "\n"
 
 
@@ -53,14 +54,17 @@ def _fall(run: Path) -> str:
     return f"{100 * TrainingCurve.read(run / FILE).last_fall:.0f} %" if (run / FILE).is_file() else ""
 
 
-def _controls(scores: Scores) -> list[str]:
-    """The controls' lines: pooled over frames as the methods' own figures are."""
-    known = {name: {"l2": control.l2, "cos_sim": control.cos_sim} for name, control in scores.controls.items()}
+def _trivial_lines(scores: Scores) -> list[str]:
+    """Return the trivial baselines' lines: pooled over frames as the methods' own figures are."""
+    known = {
+        name: {"l2": trivial_baseline.l2, "cos_sim": trivial_baseline.cos_sim}
+        for name, trivial_baseline in scores.trivial_baselines.items()
+    }
     emission = None if scores.dve is None else scores.dve.on_emission
     if emission is not None and "constant" in known:
         known["constant"] |= {"emission_l2": emission.constant.l2, "emission_cos": emission.constant.cos_sim}
-    rows = {f"control: {name}": known[name] for name in CONTROLS if name in known}
-    rows["control: fire-free plate"] = {key: getattr(scores, f"{key}_plate") for key in PLATE}
+    rows = {f"trivial: {name}": known[name] for name in SHOWN if name in known}
+    rows["trivial: fire-free plate"] = {key: getattr(scores, f"{key}_plate") for key in PLATE}
     return [f"| {name} | {' | '.join(_cell(key, of.get(key)) for key in FIGURES)} | |" for name, of in rows.items()]
 
 

@@ -43,7 +43,7 @@ class Options:
 
 
 def main(argv: list[str]) -> int:
-    """The command line."""
+    """Return the command line."""
     options = tyro.cli(Options, prog="python -m gof_benchmark.evidence.share_player", args=argv)
     result, dataset = open_result(options.result, ImportOptions()), Dataset.open(options.dataset)
     with tempfile.TemporaryDirectory() as folder:
@@ -79,14 +79,14 @@ def compare(browser: Browser, gaussians: TransientGaussians, dataset: Dataset) -
 
 
 def drawn(browser: Browser, camera: Camera, time_s: float) -> np.ndarray:
-    """(H, W, 3) display values of the page's canvas; `time_s` since the clip's start."""
+    """Return (H, W, 3) display values of the page's canvas; `time_s` since the clip's start."""
     browser.run(f"fromHash('bare=1&show=0&plate=0&cam={camera.name}&t={1e3 * time_s}')")
     data = base64.b64decode(browser.run("player.picture()", 300).split(",")[1])
     return np.asarray(Image.open(io.BytesIO(data)).convert("RGB")) / 255
 
 
 def times(browser: Browser) -> None:
-    """Print milliseconds a frame, sorted, drawn and waited for; without a GPU a processor does its work."""
+    """Print milliseconds a frame, sorted, drawn and waited for; without a GPU a CPU does its work."""
     asked = "drawer.gl.getExtension('WEBGL_debug_renderer_info')?.UNMASKED_RENDERER_WEBGL ?? drawer.gl.RENDERER"
     device = browser.run(f"drawer.gl.getParameter({asked})")
     print(f"frames of one result, {device}, with {psutil.getloadavg()[0]:.0f} processes at work here:")

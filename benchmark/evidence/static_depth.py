@@ -46,7 +46,7 @@ def main(argv: list[str] | None = None) -> None:
 
 
 def true_depth(dataset: Dataset, camera: int) -> np.ndarray:
-    """(H, W) m, of the first frame."""
+    """Return (H, W) m, of the first frame."""
     import OpenEXR
 
     with OpenEXR.File(str(dataset.file(camera, "exr", 0)), separate_channels=True) as file:
@@ -54,7 +54,7 @@ def true_depth(dataset: Dataset, camera: int) -> np.ndarray:
 
 
 def score(name: str, found: np.ndarray, truth: np.ndarray, seconds: float) -> str:
-    """One line: covered share, median relative error, share of the covered within 2 % and 5 %."""
+    """Return one line: covered share, median relative error, share of the covered within 2 % and 5 %."""
     known = np.isfinite(truth) & (truth < FAR)
     both = known & np.isfinite(found)
     error = np.abs(found[both] - truth[both]) / truth[both]

@@ -1,4 +1,4 @@
-"""What a step of a real reconstruction costs: with all Gaussians, with those that are alight, and by Dr.Jit's kernels.
+"""The cost of a step of a real reconstruction: with all Gaussians, with those alight, and by Dr.Jit's kernels.
 
     python -m gof_benchmark.evidence.training_step DATASET [--preset standard] [--steps 40]
 
@@ -21,7 +21,7 @@ from unittest.mock import patch
 import numpy as np
 import tyro
 
-from gof.commands.units import Preset
+from gof.commands.read import Preset
 from gof.core.files import write_json
 from gof.dataset import Dataset
 from gof.reconstruct.presets import effort_of
@@ -50,7 +50,7 @@ class TrainingStep:
     longest_side: int | None = None
     """Instead of the preset's."""
     steps: int = 40
-    """Of each way."""
+    """For each way."""
     json: Path | None = None
     """Also write every figure to this file."""
 
@@ -82,7 +82,7 @@ class _Measured(Exception):
 
 
 def measure(seeds, observation, windows, surroundings, schedule, units, steps: int) -> dict[str, Any]:
-    """Milliseconds of each step by way: of CPU time on one thread, then by the clock on all; see `optimize`."""
+    """Return milliseconds of each step by way: of CPU time on one thread, then by the clock on all; see `optimize`."""
     import drjit as dr
 
     from gof.reconstruct.optimize import Flame, TrainingPictures, take_step
@@ -125,13 +125,13 @@ def measure(seeds, observation, windows, surroundings, schedule, units, steps: i
 
 
 def _differ(flames: dict[str, Any], units) -> float:
-    """Largest difference of a position between the two native ways after all steps, in voxels."""
+    """Return largest difference of a position between the two native ways after all steps, in voxels."""
     places = [flames[way].state()[0].position for way, (kernels, _) in WAYS.items() if kernels == "native"]
     return float(np.abs(places[0] - places[1]).max() / units.voxel_size)
 
 
 def report(figures: dict[str, Any]) -> str:
-    """A table: milliseconds of a step, smallest and median, and how many times as fast as the first way."""
+    """Return a table: milliseconds of a step, smallest and median, and how many times as fast as the first way."""
     width, height = figures["pixels"]
     share = figures["drawn"] / figures["gaussians"]
     lines = [

@@ -1,4 +1,4 @@
-"""What exact frame times are worth to a reconstruction: the same pictures, with clocks believed more and more wrongly.
+"""The worth of exact frame times to a reconstruction: the same pictures, with clocks believed more and more wrongly.
 
     python -m gof_benchmark.evidence.wrong_clocks DATASET --out out/wrong_clocks [--errors 0 0.5 1 2 4] [--json FILE]
 
@@ -24,7 +24,7 @@ from gof.evaluate import evaluate
 from gof.reconstruct.pipeline import reconstruct
 from gof.reconstruct.presets import Effort
 from gof.reconstruct.settings import ReconstructionSettings
-from gof_benchmark.evidence.small import SMALL
+from gof_benchmark.evidence.choices import SMALL
 
 
 @dataclass(frozen=True)
@@ -38,7 +38,7 @@ class WrongClocks:
     errors: tuple[float, ...] = (0, 0.5, 1, 2, 4)
     """Mistakes, in units of what rounding to the nearest frame does."""
     effort: tyro.conf.OmitArgPrefixes[Effort] = SMALL
-    """Of every reconstruction."""
+    """For every reconstruction."""
     seed: int = 0
     json: Path | None = None
     """Also write the figures to this file."""
@@ -78,7 +78,8 @@ def main(argv: list[str] | None = None) -> None:
 
 
 def mistakes(dataset: Dataset) -> np.ndarray:
-    """(C, T) s: what rounding to the nearest frame of the dataset's clock adds to the times of each camera's frames.
+    """Return (C, T) s: what rounding to the nearest frame of the dataset's clock adds to the times of each camera's
+    frames.
 
     Raises:
         GofError: no camera has times of its own.
@@ -90,7 +91,7 @@ def mistakes(dataset: Dataset) -> np.ndarray:
 
 
 def believing(dataset: Dataset, error: float) -> Dataset:
-    """The dataset with times wrong by `error` times the mistake of rounding."""
+    """Return the dataset with times wrong by `error` times the mistake of rounding."""
     wrong = {
         camera.name: dataset.camera_times_s(c) + error * mistake
         for c, (camera, mistake) in enumerate(zip(dataset.cameras, mistakes(dataset), strict=True))

@@ -14,8 +14,7 @@ from typing import Literal
 
 from gof.core.errors import DataFormatError
 from gof.core.files import read_json
-from gof_benchmark.solvers.openfoam.case import FoamFire
-from gof_benchmark.solvers.openfoam.shipped import find_fire
+from gof_benchmark.solvers.openfoam.foam_fire import FoamFire, find_fire
 from gof_blender.core.checked_json import SpecError
 from gof_blender.pure.fires import GridFire
 from gof_blender.pure.spec import SceneSpec
@@ -46,7 +45,7 @@ class BenchmarkFire:
 
 
 def fires(split: Split, folder: Path = FOLDER) -> list[BenchmarkFire]:
-    """All fires of a split, by name.
+    """Return all fires of a split, by name.
 
     Raises:
         DataFormatError: a spec is wrong, is not named as its file, or is of the test split and not as it was sealed.

@@ -62,7 +62,7 @@ class Swings:
 
 @dataclass(frozen=True)
 class Truth:
-    """What only a simulation knows. NaN or None where this one does not.
+    """Facts that only a simulation knows. NaN or None where this one does not.
 
     Args:
         diameter_m: of the burner whose axis is looked at (the first), as a circle of equal area.
@@ -203,8 +203,8 @@ def _on_axis(
 
 
 def of_dataset(dataset: Dataset) -> Flame:
-    """Of a generated dataset. A fire that we simulate: speed from `velocity.zarr`, light from the linear pictures of
-    all cameras, the burner from the spec, its heat unknown. One of grids: the grids themselves.
+    """Return that of a generated dataset. A fire that we simulate: speed from `velocity.zarr`, light from the linear
+    pictures of all cameras, the burner from the spec, its heat unknown. One of grids: the grids themselves.
 
     Raises:
         DataFormatError: not generated, or a file is damaged.
@@ -236,7 +236,7 @@ def of_dataset(dataset: Dataset) -> Flame:
 
 
 def _picture_view(dataset: Dataset, number: int, base: np.ndarray, top_m: float) -> View:
-    """A camera's linear red light by height: a picture's row is the height of the axis that it shows."""
+    """Return a camera's linear red light by height: a picture's row is the height of the axis that it shows."""
     camera = dataset.cameras[number]
     step = _row_m(camera, base, top_m)
     height = step * (np.arange(int(top_m / step)) + 0.5)
@@ -256,19 +256,19 @@ def _total(red: np.ndarray) -> np.ndarray:
 
 
 def _at_rows(pictures: list[np.ndarray], by: Callable[[np.ndarray], np.ndarray], rows: np.ndarray) -> np.ndarray:
-    """(T, Z): what a function says of each row of (H, W) pictures, between rows linearly."""
+    """Return (T, Z): what a function says of each row of (H, W) pictures, between rows linearly."""
     return np.array([np.interp(rows, np.arange(len(picture)), by(picture)) for picture in pictures])
 
 
 def _row_m(camera: Camera, base: np.ndarray, top_m: float) -> float:
-    """Metres of the axis that a row of the picture shows, in the middle."""
+    """Return metres of the axis that a row of the picture shows, in the middle."""
     middle = base + [0.0, 0.0, top_m / 2]
     pixels, _ = camera.project(np.array([middle, middle + [0.0, 0.0, 0.01]]))
     return 0.01 / abs(float(pixels[0, 1] - pixels[1, 1]))
 
 
 def _flame_red(path: Path) -> np.ndarray:
-    """(H, W) linear red light of the flame alone. Raises DataFormatError: no such picture, or another kind."""
+    """Return (H, W) linear red light of the flame alone. Raises DataFormatError: no such picture, or another kind."""
     import OpenEXR
 
     try:
@@ -284,7 +284,7 @@ def _flame_red(path: Path) -> np.ndarray:
 
 
 def of_clips(name: str, videos: list[Path], rate_hz: float) -> Flame:
-    """Of a real fire, one video a camera: light above what is there without fire, the darkest of each pixel.
+    """Return that of a real fire, one video a camera: light above the scene without fire, the darkest of each pixel.
 
     Heights are pixels above the flame's foot; the brightest light may be clipped by the sensor.
 
@@ -300,7 +300,7 @@ def of_clips(name: str, videos: list[Path], rate_hz: float) -> Flame:
 
 
 def _filmed_view(video: Path) -> tuple[View, bool]:
-    """A camera's view, and whether flame leaves its picture."""
+    """Return a camera's view, and whether flame leaves its picture."""
     frames = np.array(list(stored_frames(video)))
     plate = frames.min(0)
     region = _flame_region(frames[::EVERY].astype(np.float32) / 255, plate.astype(np.float32) / 255)
@@ -315,7 +315,7 @@ def _filmed_view(video: Path) -> tuple[View, bool]:
 
 
 def _flame_region(frames: np.ndarray, plate: np.ndarray) -> np.ndarray:
-    """(H, W) bool: the largest place that flame visits, without the LEDs of a board or what reflects it."""
+    """Return (H, W) bool: the largest place that flame visits, without the LEDs of a board or what reflects it."""
     visited = np.any([flame_mask(frame, plate) for frame in frames], axis=0)
     outlines, _ = cv2.findContours(visited.astype(np.uint8), cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
     region = np.zeros(visited.shape, np.uint8)

@@ -12,11 +12,11 @@ import tyro
 
 from gof.core.errors import DataFormatError, GofError
 from gof.dataset import DatasetDescription
-from gof.host.progress import progress_bar
+from gof.host.terminal import progress_bar
 from gof.look.charts import line_chart
 from gof_benchmark.fires import SPLITS, measures
 from gof_benchmark.fires.flames import Axis, Flame, Truth, View, flame_of
-from gof_benchmark.fires.laws import ZONES, heskestad_heat, heskestad_height, mccaffrey_speed, puffing_law
+from gof_benchmark.fires.measures import ZONES, heskestad_heat, heskestad_height, mccaffrey_speed, puffing_law
 
 BANDS = ((0.1, 0.4), (0.4, 0.7), (0.7, 1.0))  # of the flame's height, through which structures are followed
 LOWEST = 0.02  # m/kW^(2/5): nearer to the burner its rim, not its heat, decides
@@ -29,7 +29,7 @@ class HowReal:
     """Print how fires of any solver, and filmed ones, compare with what real fires are known to do.
 
     Speed on the axis over McCaffrey's zones, flame height, puffing, flicker of the light, and how fast bright
-    structures rise. The laws and their sources: `gof_benchmark/fires/laws.py`; what the columns mean:
+    structures rise. The laws and their sources: `gof_benchmark/fires/measures.py`; what the columns mean:
     docs/how_real.md.
     """
 
@@ -72,7 +72,7 @@ class Laws:
 
 @dataclass(frozen=True)
 class Seen:
-    """What pictures show, of a filmed fire too: medians over the views.
+    """Measures of pictures, of a filmed fire too: medians over the views.
 
     Args:
         height: of the visible flame, m, or pixels of a filmed one.
@@ -91,7 +91,7 @@ class Seen:
 
 
 def seen(flame: Flame) -> Seen:
-    """Of the views; see `Seen`."""
+    """Return the measures of the views; see `Seen`."""
     per_view = [_seen(flame.time_s, view) for view in flame.views]
     height, flicker, slope, *rise = (_median(values) for values in zip(*per_view, strict=True))
     middles = height * np.mean(BANDS, axis=1)
@@ -102,7 +102,7 @@ def seen(flame: Flame) -> Seen:
 
 
 def _seen(time_s: np.ndarray, view: View) -> tuple[float, ...]:
-    """(height, flicker, its slope, rise in each of BANDS in flame heights a second) of one view."""
+    """Return (height, flicker, its slope, rise in each of BANDS in flame heights a second) of one view."""
     height = measures.flame_height(view.brightest, view.height)
     rise = [
         measures.rise_speed(time_s, view.height, view.total, (low * height, high * height)) / height
@@ -114,7 +114,7 @@ def _seen(time_s: np.ndarray, view: View) -> tuple[float, ...]:
 
 
 def laws(truth: Truth, height_m: float) -> Laws:
-    """A simulated fire whose visible flame is so high, beside the laws; see `Laws`."""
+    """Return a simulated fire whose visible flame is so high, beside the laws; see `Laws`."""
     inferred = math.isnan(truth.heat_kw)
     heat_kw = heskestad_heat(height_m, truth.diameter_m) if inferred and not truth.windy else truth.heat_kw
     law_hz, swings = puffing_law(truth.diameter_m), truth.swings
@@ -140,7 +140,7 @@ def laws(truth: Truth, height_m: float) -> Laws:
 
 
 def _over_law(axis: Axis | None, heat_kw: float, zone: int) -> tuple[float, float]:
-    """(mean speed over McCaffrey's, exponent of the speed) in one of his zones; NaN where there is nothing."""
+    """Return (mean speed over McCaffrey's, exponent of the speed) in one of his zones; NaN where there is nothing."""
     if axis is None:
         return math.nan, math.nan
     scaled = axis.height_m / heat_kw**0.4
@@ -198,7 +198,7 @@ SOLVER_HEAD = (
 
 
 def laws_row(flame: Flame, looks: Seen) -> tuple[str, ...]:
-    """A simulated fire's line under LAWS_HEAD."""
+    """Return a simulated fire's line under LAWS_HEAD."""
     truth, figures = flame.truth, laws(flame.truth, looks.height)
     height = f"{looks.height:.2f}" + ("" if math.isnan(figures.height_law_m) else f" ({figures.height_law_m:.2f})")
     puffing = f"{figures.puffing_hz:.1f} +- {figures.puffing_resolution_hz / 2:.1f}"
@@ -218,7 +218,7 @@ def laws_row(flame: Flame, looks: Seen) -> tuple[str, ...]:
 
 
 def seen_row(flame: Flame, looks: Seen) -> tuple[str, ...]:
-    """A fire's line under SEEN_HEAD."""
+    """Return a fire's line under SEEN_HEAD."""
     rate = 1 / float(np.median(np.diff(flame.time_s)))
     return (
         flame.name + (" (cut by the picture's edge)" if flame.cut else ""),
@@ -233,7 +233,7 @@ def seen_row(flame: Flame, looks: Seen) -> tuple[str, ...]:
 
 
 def solver_row(flame: Flame, looks: Seen) -> tuple[str, ...]:
-    """A solver's fire's line under SOLVER_HEAD."""
+    """Return a solver's fire's line under SOLVER_HEAD."""
     truth, figures = flame.truth, laws(flame.truth, looks.height)
     return (
         flame.name,
@@ -259,7 +259,7 @@ def table(head: tuple[str, ...], rows: list[tuple[str, ...]]) -> str:
 
 
 def draw(flames: list[Flame], looks: list[Seen], folder: Path) -> None:
-    """Speed on the axis in still air, scaled as McCaffrey does, a chart a solver; everybody's flicker in one chart."""
+    """Draw the speed on the axis in still air, scaled as McCaffrey does, a chart a solver; all flicker in one chart."""
     folder.mkdir(parents=True, exist_ok=True)
     for source in sorted({flame.source for flame in flames if flame.truth}):
         lines = {"McCaffrey's law": _law_line()}
@@ -287,7 +287,7 @@ def _law_line() -> list[tuple[float, float, str]]:
 
 
 def _scaled(axis: Axis, heat_kw: float) -> list[tuple[float, float, str]]:
-    """Some points of a profile, evenly spaced on the chart's axis."""
+    """Return some points of a profile, evenly spaced on the chart's axis."""
     z, u = axis.height_m / heat_kw**0.4, axis.speed_m_s / heat_kw**0.2
     shown = (z > LOWEST / 2) & (z < HIGHEST)
     if not shown.any():
@@ -307,7 +307,8 @@ def _mean_spectrum(flames: list[Flame], source: str) -> list[tuple[float, float,
 
 
 def _power(flame: Flame) -> np.ndarray | None:
-    """Of a flame's light over its mean, at CHART_HZ; None where its clip is too slow or too short to say."""
+    """Return the power of a flame's light over its mean, at CHART_HZ; None where its clip is too slow or too short to
+    say."""
     if math.isnan(measures.flicker(flame.time_s, np.ones(len(flame.time_s)))[0]):
         return None
     logs = []
@@ -322,7 +323,7 @@ def _power(flame: Flame) -> np.ndarray | None:
 
 
 def places_in(path: Path) -> list[Path]:
-    """The fires in a folder: itself, or grids, datasets and clips below it. Datasets of grids are their grids.
+    """Return the fires in a folder: itself, or grids, datasets and clips below it. Datasets of grids are their grids.
 
     Raises:
         DataFormatError: there is none.

@@ -7,7 +7,7 @@ from pathlib import Path
 from gof.core.costs import StageLog
 from gof_benchmark.generator import graph
 from gof_benchmark.scenes import claimed
-from gof_benchmark.solvers.openfoam.case import FoamFire
+from gof_benchmark.solvers.openfoam.foam_fire import FoamFire
 from gof_benchmark.solvers.openfoam.run import bake
 from gof_blender.pure.cost_model import REFERENCE, known_machine, predict
 from gof_blender.pure.layout import Layout
@@ -17,7 +17,7 @@ SOLVE_S = 1800.0  # OpenFOAM, a fire: 15 to 30 minutes of one core
 
 
 def make(spec: SceneSpec, foam: FoamFire | None, folder: Path, work: Path) -> None:
-    """The grids of a scene where it burns any, then its dataset. Does nothing where all is there.
+    """Make the grids of a scene where it burns any, then its dataset. Does nothing where all is there.
 
     Args:
         folder: of the dataset.   work: the place where all fires are solved: `work`/openfoam/FIRE/grids.
@@ -35,7 +35,7 @@ def make(spec: SceneSpec, foam: FoamFire | None, folder: Path, work: Path) -> No
 
 
 def predicted_s(spec: SceneSpec, foam: FoamFire | None, folder: Path, work: Path) -> float:
-    """Seconds that are left of a scene, roughly; of one that is not solved yet, what its solver takes."""
+    """Return seconds that are left of a scene, roughly; of one that is not solved yet, what its solver takes."""
     if Layout(folder).description.exists():
         return 0.0
     if foam and not _solved(spec, work):

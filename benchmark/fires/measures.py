@@ -1,4 +1,4 @@
-"""What is measured on a fire to be held beside the laws: on its grids, on its pictures, on records over time."""
+"""Measures of a fire to be held beside the laws: on its grids, on its pictures, on records over time."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ ALIKE = 0.3  # correlation below which a structure is not the same any more
 
 
 def power_law(height_m: np.ndarray, speed_m_s: np.ndarray) -> tuple[float, float]:
-    """(c, n) of speed = c z^n, least squares of the logarithms; NaN for fewer than two rising points."""
+    """Return (c, n) of speed = c z^n, least squares of the logarithms; NaN for fewer than two rising points."""
     height_m, speed_m_s = np.asarray(height_m, float), np.asarray(speed_m_s, float)
     good = (height_m > 0) & (speed_m_s > 0)
     if good.sum() < 2:
@@ -39,12 +39,13 @@ def axis_columns(
 
 
 def mean_over_time(time_s: np.ndarray, values: np.ndarray) -> np.ndarray:
-    """(P,) mean of (N, P) values over an uneven clock: a time step counts by its length."""
+    """Return (P,) mean of (N, P) values over an uneven clock: a time step counts by its length."""
     return np.diff(time_s) @ (values[1:] + values[:-1]) / 2 / (time_s[-1] - time_s[0])
 
 
 def light_speed(velocity: Iterable[np.ndarray], light: Iterable[np.ndarray]) -> np.ndarray:
-    """(Z,) m/s: mean vertical speed of the shining gas at each height, weighted by (X, Y, Z) light; NaN in the dark."""
+    """Return (Z,) m/s: mean vertical speed of the shining gas at each height, weighted by (X, Y, Z) light; NaN in the
+    dark."""
     total = moved = 0.0
     for v, e in zip(velocity, light, strict=True):
         total = total + e.sum((0, 1), dtype=float)
@@ -58,7 +59,7 @@ def heat_release_kw(heat_release: np.ndarray, voxel_m: float) -> float:
 
 
 def flame_height(brightest: np.ndarray, height: np.ndarray) -> float:
-    """Height below which the visible flame stands at least half of the time.
+    """Return height below which the visible flame stands at least half of the time.
 
     Args:
         brightest: (T, Z) of the brightest line of sight at each height; lit where it reaches VISIBLE of the clip's
@@ -72,7 +73,8 @@ def flame_height(brightest: np.ndarray, height: np.ndarray) -> float:
 
 
 def spectrum(time_s: np.ndarray, signal: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """(frequency Hz, power density 1/Hz) of an unevenly sampled signal, 8 times finer than its resolution 1 / duration.
+    """Return (frequency Hz, power density 1/Hz) of an unevenly sampled signal, 8 times finer than its resolution 1 /
+    duration.
 
     Straight trend removed, Hann's window; one-sided, so that its integral is the signal's variance.
     """
@@ -106,7 +108,7 @@ def puffing_frequency(time_s: np.ndarray, signals: np.ndarray) -> float:
 
 
 def flicker(time_s: np.ndarray, light: np.ndarray) -> tuple[float, float]:
-    """(share, slope) of a flame's flicker between 15 and 40 Hz.
+    """Return (share, slope) of a flame's flicker between 15 and 40 Hz.
 
     Args:
         light: (T,) of the whole flame.
@@ -124,7 +126,7 @@ def flicker(time_s: np.ndarray, light: np.ndarray) -> tuple[float, float]:
 
 
 def rise_speed(time_s: np.ndarray, height: np.ndarray, light: np.ndarray, band: tuple[float, float]) -> float:
-    """Speed at which bright structures rise through a band of heights, in units of `height` a second.
+    """Return speed at which bright structures rise through a band of heights, in units of `height` a second.
 
     A height's light, over its own mean in time and without its straight trend, is compared with that of a later frame
     higher up: the speed at which the two are most alike, over one to LAGS frames at once.
@@ -152,7 +154,7 @@ def rise_speed(time_s: np.ndarray, height: np.ndarray, light: np.ndarray, band: 
 
 
 def _changes(time_s: np.ndarray, light: np.ndarray) -> np.ndarray:
-    """(T, Z) of light over its mean, without its straight trend; 0 where a height is dark."""
+    """Return (T, Z) of light over its mean, without its straight trend; 0 where a height is dark."""
     mean = light.mean(0)
     lit = mean > 1e-3 * mean.max()
     relative = np.divide(light, mean, out=np.ones_like(light, dtype=float), where=lit)
@@ -174,3 +176,48 @@ def _likeness(changes: np.ndarray, height: np.ndarray, rows: np.ndarray, per_fra
         there = changes[lag:, low] * (1 - part) + changes[lag:, low + 1] * part
         product, here2, there2 = product + (here * there).sum(), here2 + (here**2).sum(), there2 + (there**2).sum()
     return product / math.sqrt(here2 * there2) if here2 > 0 and there2 > 0 else 0.0
+
+
+# ----------------------------------------------------------------
+# Laws measured on real fires, all of free fires in still air: jets leave the first where their own momentum carries
+# them, wind leaves all of them.
+#
+# - McCaffrey, *Purely Buoyant Diffusion Flames: Some Experimental Results*, NBSIR 79-1910, 1979: speed and
+# temperature on the axis of a 0.3 m square natural-gas burner of 14 to 58 kW, in three zones of height.
+# - Heskestad, *Luminous heights of turbulent diffusion flames*, Fire Safety Journal 5, 1983: mean visible height.
+# - Cetegen and Ahmed, *Experiments on the periodic instability of buoyant plumes and pool fires*, Combustion and
+# Flame 93, 1993: puffing frequency of pool fires of 0.03 to 60 m.
+
+# McCaffrey's zones: up to z / Q^(2/5) in m/kW^(2/5), k, and exponent eta of u / Q^(1/5) = k (z / Q^(2/5))^eta.
+ZONES = ((0.08, 6.8, 0.5), (0.20, 1.9, 0.0), (math.inf, 1.1, -1 / 3))
+
+
+def _zone(height_m: np.ndarray, heat_release_kw: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return (scaled height, k, eta) at heights above the burner."""
+    scaled = np.maximum(np.asarray(height_m, float), 1e-9) / heat_release_kw**0.4
+    limits = [limit for limit, _, _ in ZONES]
+    k, eta = np.array([zone[1:] for zone in ZONES])[np.searchsorted(limits, scaled)].T
+    return scaled, k, eta
+
+
+def mccaffrey_speed(height_m: np.ndarray, heat_release_kw: float) -> np.ndarray:
+    """Return mean vertical speed on the axis (m/s) at heights (m) above the burner: continuous flame, intermittent,
+    plume."""
+    scaled, k, eta = _zone(height_m, heat_release_kw)
+    return heat_release_kw**0.2 * k * scaled**eta
+
+
+def heskestad_height(heat_release_kw: float, diameter_m: float) -> float:
+    """Return mean height of the visible flame (m): 0.235 Q^(2/5) - 1.02 D, at least 0."""
+    return max(0.0, 0.235 * heat_release_kw**0.4 - 1.02 * diameter_m)
+
+
+def heskestad_heat(height_m: float, diameter_m: float) -> float:
+    """Return heat release (kW) of a fire whose visible flame has this mean height (m): Heskestad's law, solved for
+    Q."""
+    return ((height_m + 1.02 * diameter_m) / 0.235) ** 2.5
+
+
+def puffing_law(diameter_m: float) -> float:
+    """Frequency (Hz) at which a pool fire sheds its vortices: 1.5 / sqrt(D)."""
+    return 1.5 / math.sqrt(diameter_m)

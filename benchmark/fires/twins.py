@@ -20,7 +20,7 @@ ALIKE = 0.25  # of the larger of two numbers
 
 @dataclass(frozen=True)
 class Traits:
-    """What makes a fire another fire than the next.
+    """Traits that make a fire another fire than the next.
 
     Args:
         shape: of its burners, "square + round" where there are two.
@@ -51,7 +51,7 @@ class Neighbour:
 
 
 def traits(fire: BenchmarkFire) -> Traits:
-    """Of a fire of the benchmark; of OpenFOAM's from what the solver was told."""
+    """Return those of a fire of the benchmark; of OpenFOAM's from what the solver was told."""
     if fire.foam is None:
         return simulated(fire.spec)
     burners = fire.foam.burners
@@ -70,7 +70,7 @@ def traits(fire: BenchmarkFire) -> Traits:
 
 
 def simulated(spec: SceneSpec) -> Traits:
-    """Of a scene whose fire we simulate, built-in scenes too."""
+    """Return those of a scene whose fire we simulate, built-in scenes too."""
     effects = {name_of(effect): effect for effect in spec.effects}
     wind, vorticity = effects.get("wind"), effects.get("vorticity")
     return Traits(
@@ -87,7 +87,7 @@ def simulated(spec: SceneSpec) -> Traits:
 
 
 def nearest(fire: Traits, others: dict[str, Traits]) -> Neighbour:
-    """The one that differs in fewest traits; of several the one whose numbers are closest."""
+    """Return the one that differs in fewest traits; of several the one whose numbers are closest."""
 
     def order(name: str) -> tuple[int, float]:
         gaps = _gaps(fire, others[name])

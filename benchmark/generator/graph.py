@@ -16,7 +16,7 @@ from pathlib import Path
 from gof.core.costs import StageLog
 from gof.core.errors import GofError
 from gof.host import extras
-from gof.host.progress import progress_bar
+from gof.host.terminal import progress_bar
 from gof_benchmark.generator import machine
 from gof_benchmark.generator.blender_process import ProcessCost, Renderer, StageRefused, run_stage
 from gof_benchmark.generator.workers import RETRIES, ClusterWorkers, LocalWorkers, workers_for
@@ -120,7 +120,7 @@ class Generation:
         return all(self._layout.static_exr(name).is_file() for name in self._spec.cameras.names)
 
     def _is_ready(self, frame: int) -> bool:
-        """Whether the solver has passed every step that a picture of this frame sees."""
+        """Return whether the solver has passed every step that a picture of this frame sees."""
         timeline = self._spec.timeline
         last = 0
         for camera in range(timeline.cameras):
@@ -154,7 +154,7 @@ class Generation:
             print(f"\n{text}", file=sys.stderr)
 
     def _wall_s(self, stage: str, seconds: float) -> float:
-        """Wall seconds of a stage until now, in all runs; its tasks overlap, so their seconds add up to more."""
+        """Return wall seconds of a stage until now, in all runs; its tasks overlap, so their seconds add up to more."""
         now = time.perf_counter()
         self._begun[stage] = min(self._begun.get(stage, now), now - seconds)
         return round(self._wall_before.get(stage, 0.0) + now - self._begun[stage], 3)
@@ -179,7 +179,7 @@ class Generation:
 
 
 def _stage(stage: str, root: Path) -> ProcessCost | StageRefused:
-    """A refusal is an answer: work that raises is done again."""
+    """Return a refusal is an answer: work that raises is done again."""
     try:
         return run_stage(stage, root)
     except StageRefused as refusal:

@@ -20,7 +20,7 @@ import numpy as np
 
 from gof.core.errors import DataFormatError, GofError
 from gof.core.records import read_record, write_record
-from gof.host.progress import progress_bar
+from gof.host.terminal import progress_bar
 from gof_benchmark.generator.blender_process import Renderer, run_stage
 from gof_benchmark.scenes import claim, load_scene
 from gof_blender.core.checked_json import SpecError
@@ -58,7 +58,7 @@ def refuse_if_too_large(spec: SceneSpec, root: Path) -> Prediction:
 
 
 def refuse(spec: SceneSpec, root: Path) -> Prediction:
-    """The prediction. Raises GofError: this machine cannot make the dataset; says which field helps."""
+    """Return the prediction. Raises GofError: this machine cannot make the dataset; says which field helps."""
     try:
         return require_room(spec, root)
     except SpecError as error:
@@ -66,13 +66,13 @@ def refuse(spec: SceneSpec, root: Path) -> Prediction:
 
 
 def this_machine() -> Machine:
-    """This machine's coefficients: those measured before, or measured now."""
+    """Return this machine's coefficients: those measured before, or measured now."""
     return known_machine() or calibrate()
 
 
 @dataclass(frozen=True)
 class TinyRun:
-    """A bake of a few steps and single pictures of it, in processor seconds over cores.
+    """A bake of a few steps and single pictures of it, in CPU seconds over cores.
 
     Attributes:
         resolution: cells along the longest side.   cells: of the whole grid.   steps: of the solver.
@@ -99,7 +99,7 @@ STAGES = sum(1 + 2 * len(pictures) for *_, pictures in RUNS.values())  # Blender
 
 @dataclass(frozen=True)
 class Measured:
-    """What a calibration has measured so far: it goes on there after it was stopped."""
+    """A calibration's measurements so far: it goes on there after it was stopped."""
 
     SCHEMA: ClassVar[str] = "gof-calibration"
     VERSION: ClassVar[int] = 1
@@ -112,7 +112,7 @@ class Measured:
 
     @classmethod
     def read(cls) -> dict[str, TinyRun]:
-        """Runs by name; none where there is no such file that this version reads."""
+        """Run by name; none where there is no such file that this version reads."""
         try:
             return {name: run for name, run in read_record(cls, cls.path()).runs.items() if name in RUNS}
         except DataFormatError:
@@ -142,7 +142,7 @@ def calibrate() -> Machine:
 
 
 def fit(empty: TinyRun, small: TinyRun, large: TinyRun) -> Machine:
-    """The coefficients that explain three runs; their error is not known yet, and 0 here."""
+    """Return the coefficients that explain three runs; their error is not known yet, and 0 here."""
     # Blender's first start reads its files from the disk and may take longer than a later start and its bake.
     start = min(run.bake_s for run in (empty, small, large))
     small_step, large_step = (max(run.bake_s - start, LEAST_BAKE * run.bake_s) / run.steps for run in (small, large))
@@ -164,7 +164,7 @@ def fit(empty: TinyRun, small: TinyRun, large: TinyRun) -> Machine:
 
 
 def _fit_pictures(runs: tuple[TinyRun, ...]) -> list[float]:
-    """Seconds per picture, per pixel, per sample and per sample and cell: non-negative, least relative error."""
+    """Return seconds per picture, per pixel, per sample and per sample and cell: non-negative, least relative error."""
     from scipy.optimize import nnls
 
     pictures = [(run.resolution, *picture) for run in runs for picture in run.pictures]
@@ -175,7 +175,7 @@ def _fit_pictures(runs: tuple[TinyRun, ...]) -> list[float]:
 
 
 def prediction_error(machine: Machine, run: TinyRun) -> float:
-    """The larger relative error of the predicted bake and picture of a run that nothing was fitted to."""
+    """Return the larger relative error of the predicted bake and picture of a run that nothing was fitted to."""
     pixels, samples, seconds = run.pictures[0]
     bake_s = machine.start + run.steps * machine.bake_scale * run.cells**machine.bake_power
     pairs = ((run.bake_s, bake_s), (seconds, picture_s(machine, pixels, samples, run.resolution)))
@@ -222,7 +222,7 @@ def _stage_s(stage: str, layout: Layout) -> float:
 
 
 def _picture_s(layout: Layout) -> float:
-    """Median of three pictures, after one that loads the scene."""
+    """Return median of three pictures, after one that loads the scene."""
     times = []
     for _ in range(4):
         times.append(Renderer.render(layout.root, 1, 1).cpu_s / CORES)

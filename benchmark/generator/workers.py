@@ -146,7 +146,7 @@ def require_certificate(scheduler: str | None, tls: Path | None) -> None:
 
 
 def _connect(scheduler: str, tls: Path | None) -> Any:
-    """A client of a running scheduler. Raises GofError: it does not answer, or not to this certificate."""
+    """Return a client of a running scheduler. Raises GofError: it does not answer, or not to this certificate."""
     distributed = extras.load("distributed", "cluster", "--scheduler")
     security = None
     if tls is not None:

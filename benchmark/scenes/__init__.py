@@ -18,12 +18,12 @@ FOLDER = Path(__file__).parent
 
 
 def built_in_scenes() -> list[str]:
-    """Names of the built-in scenes."""
+    """Return names of the built-in scenes."""
     return sorted(path.parent.name for path in FOLDER.glob("*/spec.json"))
 
 
 def load_scene(scene: str, preset: str | None = None) -> SceneSpec:
-    """The spec of a file or of a built-in scene, with a cost preset applied.
+    """Return the spec of a file or of a built-in scene, with a cost preset applied.
 
     Raises:
         GofError: no such file or scene, a field of the spec is wrong, or the grids it burns are (names it).
@@ -41,7 +41,7 @@ def load_scene(scene: str, preset: str | None = None) -> SceneSpec:
 
 
 def _today(preset: str) -> str:
-    """The name of a preset; says so where it is an old one. Raises GofError: there is none of that name."""
+    """Return the name of a preset; says so where it is an old one. Raises GofError: there is none of that name."""
     return ladder.preset(preset, {name: name for name in PRESETS}, {name: name for name in FORMER})
 
 

@@ -1,4 +1,4 @@
-"""What any solver hands over: a flame as grids on a clock. A flame has a source, and this is the source's contract.
+"""The hand-over of any solver: a flame as grids on a clock. A flame has a source, and this is the source's contract.
 
     <fire>/fire.json          what it is and where it comes from (`FireDescription`); written last
           velocity.zarr       (T, X, Y, Z, 3) m/s, schema gof-velocity
@@ -99,7 +99,7 @@ class FireGrids:
         return float(np.cbrt(abs(np.linalg.det(self.index_to_world[:3, :3]))))
 
     def centers(self, axis: int) -> np.ndarray:
-        """World positions (m) of the cells' centres along an axis."""
+        """Return world positions (m) of the cells' centres along an axis."""
         n = self.velocity.resolution[axis]
         return self.index_to_world[axis, 3] + self.voxel_m * (np.arange(n) + 0.5)
 

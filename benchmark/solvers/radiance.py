@@ -27,7 +27,8 @@ class Radiance:
 
 
 def brightest_column(fire: FireGrids) -> float:
-    """The largest line integral of the red emission along X or Y in any frame, W m^-2 sr^-1 nm^-1 up to the factor.
+    """Return the largest line integral of the red emission along X or Y in any frame, W m^-2 sr^-1 nm^-1 up to the
+    factor.
 
     Raises:
         DataFormatError: a frame is damaged.
@@ -39,7 +40,7 @@ def brightest_column(fire: FireGrids) -> float:
 
 
 def suggested_radiance(fire: FireGrids, brightest: float = BRIGHTEST) -> float:
-    """The `fire.radiance` with which the brightest line of sight becomes `brightest` in linear red.
+    """Return the `fire.radiance` with which the brightest line of sight becomes `brightest` in linear red.
 
     Raises:
         DataFormatError: a frame is damaged, or the fire does not shine.

@@ -40,9 +40,9 @@ class FromVdb:
     velocity: str = "velocity"
     """Name of the grid of vectors that moves the gas, or of three grids of numbers: vel for vel.x, vel.y and vel.z."""
     velocity_m_s: float = 1.0
-    """Of one unit in that grid, m/s."""
+    """Value of one unit in that grid, m/s."""
     metres: float = 1.0
-    """Of one unit of length in the files, m."""
+    """Value of one unit of length in the files, m."""
     up: Literal["z", "y"] = "z"
     """Axis that points up in the files."""
     emission: str | None = None
@@ -52,9 +52,9 @@ class FromVdb:
     temperature: str | None = None
     """Grid of temperature; without it all that glows has the temperature `kelvin_at_0`."""
     kelvin: float = 1.0
-    """Of one unit in that grid, K."""
+    """Value of one unit in that grid, K."""
     kelvin_at_0: float = 0.0
-    """Of nothing in that grid, K: 273.15 for degrees Celsius."""
+    """Value of zero in that grid, K: 273.15 for degrees Celsius."""
 
     def __post_init__(self):
         for name in ("rate_hz", "metres"):
@@ -74,7 +74,7 @@ class Box:
     origin: tuple[float, float, float]
 
     def index_to_world(self, config: FromVdb) -> np.ndarray:
-        """(4, 4) of cells as `upright` turns them, to metres. OpenVDB's values stand at the centres of cells."""
+        """Return (4, 4) of cells as `upright` turns them, to metres. OpenVDB's values stand at the centres of cells."""
         edge = self.cell * config.metres
         first = config.metres * (np.array(self.origin) + self.cell * (np.array(self.low) - 0.5))
         if config.up == "y":
@@ -163,7 +163,8 @@ class Sequence:
         return FireFrame(velocity.astype(np.float32), np.maximum(emission, 0).astype(np.float32))
 
     def _values(self, path: Path, name: str) -> np.ndarray:
-        """(X, Y, Z) or (X, Y, Z, 3) of the box. Raises DataFormatError: vectors for numbers, or numbers for vectors."""
+        """Return (X, Y, Z) or (X, Y, Z, 3) of the box. Raises DataFormatError: vectors for numbers, or numbers for
+        vectors."""
         grid = self._grid(path, name)
         vectors = name in (self.config.velocity, self.config.emission)  # velocity's parts have other names
         values = np.zeros((*self.box.shape, 3) if vectors else self.box.shape, np.float32)
@@ -182,7 +183,7 @@ class Sequence:
         return self.velocity if path in self.dark else self.names
 
     def _names_in(self, path: Path) -> set[str]:
-        """Names of the grids in a file."""
+        """Return names of the grids in a file."""
         try:
             return {grid.name for grid in self._vdb.readAllGridMetadata(str(path))}
         except Exception as error:  # its own types are not exported
@@ -195,7 +196,7 @@ class Sequence:
             )
 
     def _parts_of_velocity(self, there: set[str]) -> list[str]:
-        """Names of the one or three grids of velocity, by those in the first file."""
+        """Return names of the one or three grids of velocity, by those in the first file."""
         name = self.config.velocity
         ways = [[f"{name}{link}{axis}" for axis in "xyz"] for link in (".", "_", "")]
         return next((parts for parts in ways if name not in there and there.issuperset(parts)), [name])

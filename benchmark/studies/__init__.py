@@ -1,1 +1,1 @@
-"""What accuracy costs in time: studies that users run on their own scenes and machines (`gof study`)."""
+"""Accuracy and its cost in time: studies that users run on their own scenes and machines (`gof study`)."""

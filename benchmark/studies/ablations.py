@@ -58,7 +58,8 @@ def main(argv: list[str]) -> int:
 
 
 def _variants(method: MethodName) -> dict[str, dict[str, str]]:
-    """Options of `gof reconstruct` by the name of the row; plates throughout, so that JointOpt is of the same kind."""
+    """Return options of `gof reconstruct` by the name of the row; plates throughout, so that JointOpt is of the same
+    kind."""
     left_out = {name: {"method": method, "scene": "plates", "ablation": part} for name, part in LEFT_OUT.items()}
     other, said = ("paper", "the paper's choices") if method == "gof" else ("gof", "ours")
     return left_out | {said: {"method": other, "scene": "plates", "ablation": "none"}}

@@ -1,6 +1,6 @@
 """`gof study dve`: what quadrature order, grid resolution, precision and Monte Carlo buy, in error and in seconds.
 
-The truth is a closed form of the expected velocity (`gof.evaluate.closed_forms`).
+The truth is a closed form of the expected velocity (written out at the end of this file).
 """
 
 from __future__ import annotations
@@ -20,11 +20,10 @@ from gof.core.fields import VelocityField
 from gof.core.files import write_json
 from gof.core.records import to_json
 from gof.core.rotations import rotation_matrices
-from gof.evaluate.closed_forms import Flow, abc, gaussian_vortex, linear, taylor_green
 from gof.evaluate.expectation import expected_velocity_plain
 from gof.evaluate.grid_quadrature import expected_velocity_on_grid
 from gof.evaluate.quadrature import ORDERS
-from gof.host.progress import progress_bar
+from gof.host.terminal import progress_bar
 from gof.look.charts import line_chart
 
 HALF = 0.6  # m; the Gaussians stay well inside the box of this half width
@@ -99,7 +98,7 @@ def main(argv: list[str]) -> int:
 
 
 def run(count: int = 20_000, samples: int = 1_000_000, progress: Callable[[int, int], None] | None = None) -> list[Row]:
-    """All rows; progress(parts done, parts)."""
+    """Return all rows; progress(parts done, parts)."""
     k = WAVE_NUMBER
     flows = [linear(), taylor_green(k), abc(k), gaussian_vortex(1.5 / k)]
     parts = [partial(order_rows, flow, width, count // 10) for flow in flows for width in WIDTHS]
@@ -155,7 +154,7 @@ def precision_rows(flow: Flow, count: int) -> Iterator[Row]:
 
 
 def monte_carlo_rows(flow: Flow, most: int) -> Iterator[Row]:
-    """Numbers of random samples per Gaussian, on the flow itself."""
+    """Yield numbers of random samples per Gaussian, on the flow itself."""
     x, s, q = gaussians(20, 0.5)
     truth = flow.mean(x, _covariance(s, q))
     rng = np.random.default_rng(1)
@@ -232,9 +231,77 @@ def write_charts(rows: list[Row], folder: Path) -> list[Path]:
 
 
 def _points(rows: list[Row], flow: str, study: str, k_sigma: float) -> list[tuple[float, float, str]]:
-    """(seconds, error, label) of one line of a chart."""
+    """Return (seconds, error, label) of one line of a chart."""
     found = [row for row in rows if (row.flow, row.study, row.k_sigma) == (flow, study, k_sigma)]
     if study == "grid":
         found = [row for row in found if row.setting.endswith("order 3")]
     labels = [row.setting.removesuffix(" order 3").removesuffix(" samples") for row in found]
     return [(row.seconds, max(row.error, 1e-17), label) for row, label in zip(found, labels, strict=True)]
+
+
+# ----------------------------------------------------------------
+# Flows whose expected value under any Gaussian is known exactly: what the quadrature is judged against.
+
+
+@dataclass(frozen=True)
+class Flow:
+    """velocity(points (M, 3) m) -> (M, 3) m/s; mean(position (M, 3), covariance (M, 3, 3)) -> expectation (M, 3)."""
+
+    name: str
+    velocity: Callable[[np.ndarray], np.ndarray]
+    mean: Callable[[np.ndarray, np.ndarray], np.ndarray]
+
+
+def linear() -> Flow:
+    """V = A x + b: the expectation is the value at the centre."""
+    A, b = np.array([[0.3, -2, 0], [2, 0.3, 0], [0.5, 0, -0.6]]), np.array([0.1, 0, 1.5])
+    return Flow("linear", lambda x: x @ A.T + b, lambda m, C: m @ A.T + b)
+
+
+def taylor_green(k: float) -> Flow:
+    """V = (sin kx cos ky, -cos kx sin ky, 0): two plane waves, each damped by exp(-(k sigma)^2 / 2) along itself."""
+
+    def velocity(x):
+        s, c = np.sin(k * x), np.cos(k * x)
+        return np.stack([s[:, 0] * c[:, 1], -c[:, 0] * s[:, 1], 0 * c[:, 0]], 1)
+
+    def mean(m, C):
+        a, b = (_damped(m, C, k * np.array([1.0, sign, 0]), np.sin) for sign in (1, -1))
+        return np.stack([(a + b) / 2, (b - a) / 2, 0 * a], 1)
+
+    return Flow("Taylor-Green", velocity, mean)
+
+
+def abc(k: float) -> Flow:
+    """Arnold-Beltrami-Childress with A = B = C = 1: six plane waves along the axes."""
+
+    def velocity(x):
+        s, c = np.sin(k * x), np.cos(k * x)
+        return np.stack([s[:, 2] + c[:, 1], s[:, 0] + c[:, 2], s[:, 1] + c[:, 0]], 1)
+
+    def mean(m, C):
+        s, c = (np.stack([_damped(m, C, k * e, f) for e in np.eye(3)], 1) for f in (np.sin, np.cos))
+        return np.stack([s[:, 2] + c[:, 1], s[:, 0] + c[:, 2], s[:, 1] + c[:, 0]], 1)
+
+    return Flow("ABC", velocity, mean)
+
+
+def gaussian_vortex(width: float) -> Flow:
+    """V = (w x X + u) exp(-|X|^2 / (2 width^2)): two Gaussians multiply to a Gaussian, so the mean is closed too."""
+    spin = np.array([[0, -3.0, 1], [3, 0, 0.5], [-1, -0.5, 0]])
+    u = np.array([0, 0, 0.4])
+
+    def velocity(x):
+        return (x @ spin.T + u) * np.exp(-0.5 * np.sum(x**2, 1) / width**2)[:, None]
+
+    def mean(m, C):
+        M = np.eye(3) + C / width**2
+        centre = np.linalg.solve(M, m[:, :, None])[:, :, 0]
+        factor = np.exp(-0.5 * np.sum(m * centre, 1) / width**2) / np.sqrt(np.linalg.det(M))
+        return factor[:, None] * (centre @ spin.T + u)
+
+    return Flow("Gaussian vortex", velocity, mean)
+
+
+def _damped(m, C, wave, function):
+    return np.exp(-0.5 * np.einsum("i,nij,j->n", wave, C, wave)) * function(m @ wave)

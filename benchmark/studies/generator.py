@@ -15,8 +15,7 @@ from pathlib import Path
 import numpy as np
 
 from gof.commands.everywhere import write_figures
-from gof.commands.read import read_options
-from gof.commands.units import Seconds
+from gof.commands.read import Seconds, read_options
 from gof.core.fields import VelocitySequence
 from gof.core.files import atomic_path, read_json, write_json
 from gof.core.zarr_array import ZarrArray
@@ -142,7 +141,7 @@ def study_resolution(spec: SceneSpec, config: GeneratorStudy) -> list[Resolution
 
 
 def _rms(vectors: np.ndarray) -> float:
-    """Root mean square length of vectors (..., 3)."""
+    """Return root mean square length of vectors (..., 3)."""
     return float(np.sqrt((vectors**2).sum(-1).mean()))
 
 
@@ -155,7 +154,7 @@ def _bake_folder(config: GeneratorStudy, resolution: int) -> Path:
 
 
 def _bake(spec: SceneSpec, root: Path) -> tuple[Layout, ProcessCost]:
-    """A bake with exported velocity, made once, and what the bake cost."""
+    """Return a bake with exported velocity, made once, and what the bake cost."""
     layout = Layout(root.resolve())
     claim(layout, spec)
     if not _cost_file(layout).exists():
@@ -179,7 +178,7 @@ def _known_cost(layout: Layout) -> ProcessCost:
 
 
 def study_samples(spec: SceneSpec, config: GeneratorStudy) -> list[SamplesRow]:
-    """One picture with every number of samples, with and without denoiser, of the second finest bake.
+    """Return one picture with every number of samples, with and without denoiser, of the second finest bake.
 
     The reference is not denoised: it would be compared with its own bias.
     """
@@ -319,7 +318,7 @@ def _draw_charts(figures: Figures, out: Path) -> None:
 
 
 def _label(section: str, field: str, value: int) -> str:
-    """The setting of a point, and the presets that use it."""
+    """Return the setting of a point, and the presets that use it."""
     users = [name for name, values in PRESETS.items() if values[section].get(field) == value]
     return " ".join([str(value), *users])
 

@@ -16,7 +16,7 @@ from gof_benchmark.studies.variants import Row, Setting, VariantStudy, run_one, 
 FACTORS = (0.25, 0.5, 1, 2)  # of the preset's steps, Gaussians and picture size
 VOXELS = (0.5, 1, 1.5)  # of the preset's
 VARIED = {"steps": "iterations", "gaussians": "gaussians", "max-size": "longest_side", "voxels": "voxels"}
-"""What is varied, and its name in the settings and the tables."""
+"""The varied settings, and their name in the settings and the tables."""
 CHOICES: dict[str, dict[str, Setting]] = {
     "no flow prior": {"flow_prior": False},
     "scene of Gaussians": {"scene": "gaussians"},
@@ -45,7 +45,7 @@ class SettingsStudy(VariantStudy):
     """
 
     vary: tuple[Group, ...] = get_args(Group)
-    """What is varied."""
+    """Settings to vary."""
     seeds: int = 1
     """Runs of each; the tables show their mean and standard deviation, the charts bars of the latter."""
 
@@ -65,7 +65,7 @@ def main(argv: list[str]) -> int:
 
 
 def run_all(study: SettingsStudy, dataset: Dataset) -> dict[str, list[Row]]:
-    """Rows by what was varied; what several groups have in common is made once."""
+    """Return rows by what was varied; what several groups have in common is made once."""
     known: dict[tuple, Row] = {}
 
     def once(name: str, settings: dict[str, Setting]) -> Row:
@@ -81,7 +81,7 @@ def run_all(study: SettingsStudy, dataset: Dataset) -> dict[str, list[Row]]:
 
 
 def mean_row(rows: list[Row]) -> Row:
-    """Of the runs of one setting, which differ in their seed: means, and "SCORE_sd" where there are several.
+    """Return the mean of the runs of one setting, which differ in their seed; and "SCORE_sd" where there are several.
 
     A score that one of them lacks is None.
     """
@@ -98,7 +98,7 @@ def mean_row(rows: list[Row]) -> Row:
 
 
 def series(study: VariantStudy, dataset: Dataset) -> Series:
-    """Settings by what is varied and by the run's name; no picture is made larger than it is."""
+    """Return settings by what is varied and by the run's name; no picture is made larger than it is."""
     largest = max(max(camera.width, camera.height) for camera in dataset.cameras)
     base = study.settings()
     base["longest_side"] = min(base["longest_side"], largest)
@@ -111,7 +111,7 @@ def series(study: VariantStudy, dataset: Dataset) -> Series:
 
 
 def _draw_charts(study: VariantStudy, groups: dict[str, list[Row]]) -> None:
-    """Each score over seconds: one line per group, a mark for each choice; what several groups share is labelled
+    """Draw each score over seconds: one line per group, a mark for each choice; what several groups share is labelled
     once."""
     for key, label in CHARTS.items():
         lines, labelled = {}, set()

@@ -15,8 +15,7 @@ from gof.commands.read import read_options
 from gof.core.errors import GofError
 from gof.dataset import Dataset
 from gof.evaluate import evaluate
-from gof.host.progress import progress_bar
-from gof.host.terminal import console
+from gof.host.terminal import console, progress_bar
 
 
 @dataclass

@@ -1,4 +1,5 @@
-"""What the studies of the reconstruction share: one reconstruction with changed settings and its scores, and tables."""
+"""Parts that the studies of the reconstruction share: one reconstruction with changed settings, its scores, and
+tables."""
 
 from __future__ import annotations
 
@@ -9,7 +10,7 @@ from typing import Annotated, Any
 import tyro
 
 from gof.commands.everywhere import next_to, write_figures
-from gof.commands.units import Pixels, Preset
+from gof.commands.read import Pixels, Preset
 from gof.core.costs import StageLog
 from gof.core.files import atomic_path, read_json, write_json
 from gof.dataset import Dataset
@@ -26,7 +27,7 @@ Row = dict[str, Any]
 
 @dataclass
 class VariantStudy:
-    """What every study of the reconstruction is asked."""
+    """Options of every study of the reconstruction."""
 
     dataset: tyro.conf.Positional[Annotated[Path, tyro.conf.arg(metavar="DATASET")]]
     """Dataset folder, with true velocity."""
@@ -43,7 +44,8 @@ class VariantStudy:
     """Instead of the preset's."""
 
     def settings(self) -> dict[str, int]:
-        """Of every reconstruction, before something is varied: options of `gof reconstruct` by name."""
+        """Return the settings of every reconstruction, before something is varied: options of `gof reconstruct` by
+        name."""
         preset = effort_of(self.preset)
         given = {"iterations": self.steps, "gaussians": self.gaussians, "longest_side": self.max_size}
         return asdict(preset) | {name: value for name, value in given.items() if value is not None}
@@ -61,7 +63,7 @@ class VariantStudy:
 
 
 def run_one(study: VariantStudy, dataset: Dataset, name: str, settings: dict[str, Setting]) -> Row:
-    """One reconstruction in OUT/NAME and its scores; one of the same dataset and settings is kept."""
+    """Return one reconstruction in OUT/NAME and its scores; one of the same dataset and settings is kept."""
     folder = study.folder / name
     known = _known_row(study, dataset, name, settings)
     if known is None:
@@ -79,7 +81,7 @@ def run_one(study: VariantStudy, dataset: Dataset, name: str, settings: dict[str
 
 
 def _option(name: str, value: Setting) -> list[str]:
-    """A setting in the words of the command line."""
+    """Return a setting in the words of the command line."""
     if isinstance(value, bool):
         return [f"--{name.replace('_', '-')}" if value else f"--no-{name.replace('_', '-')}"]
     return [FLAGS.get(name, f"--{name.replace('_', '-')}"), str(value)]
@@ -112,7 +114,7 @@ def write_page(path: Path, parts: list[str]) -> None:
 
 
 def _text(value: float | int | str | None) -> str:
-    """A figure in a table: three decimals below 10, two below 100, none above."""
+    """Return a figure in a table: three decimals below 10, two below 100, none above."""
     if value is None:
         return "-"
     if not isinstance(value, float):

@@ -19,14 +19,14 @@ from gof.core.files import read_json
 from gof.core.records import read_record
 from gof_benchmark.fires import SPLITS, Split, check_seal, fires
 from gof_benchmark.scenes import FOLDER as BUILT_IN
-from gof_benchmark.solvers.openfoam.case import FoamFire
+from gof_benchmark.solvers.openfoam.foam_fire import FoamFire
 from gof_blender.pure.spec import SceneSpec
 
 FOLDER = Path(__file__).parent
 FILE = FOLDER / "gof_bench_1.json"
 Size = Literal["preview", "standard", "full"]  # rungs of gof.core.ladder
 SEALED: dict[Size, str] = {"preview": "smoke", "standard": "standard", "full": "paper"}
-"""What the sealed list and truth.json call a size; folders of the version before have these names, too."""
+"""Names of sizes in the sealed list and truth.json; folders of the version before have these names, too."""
 
 
 @dataclass(frozen=True)
@@ -98,7 +98,7 @@ def suite_name() -> str:
 
 
 def scenes_of(size: Size, split: Split | Literal["all"] = "all") -> list[SuiteScene]:
-    """The scenes of a size, in the list's order.
+    """Return the scenes of a size, in the list's order.
 
     Raises:
         DataFormatError: the list, a truth or a test fire is not as it was sealed.
@@ -115,18 +115,19 @@ def scenes_of(size: Size, split: Split | Literal["all"] = "all") -> list[SuiteSc
 
 
 def split_of(words: tuple[str, ...], default: str = "test") -> tuple[str, tuple[str, ...]]:
-    """The split that a first word "dev", "test" or "all" names, and the names of scenes that follow."""
+    """Return the split that a first word "dev", "test" or "all" names, and the names of scenes that follow."""
     return (words[0], words[1:]) if words[:1] in (("dev",), ("test",), ("all",)) else (default, words)
 
 
 def choose(size: Size, words: tuple[str, ...]) -> list[SuiteScene]:
-    """The scenes of a size that words name, see `split_of`; all without any. Raises GofError: one is not there."""
+    """Return the scenes of a size that words name, see `split_of`; all without any. Raises GofError: one is not
+    there."""
     split, names = split_of(words, "all")
     return pick(scenes_of(size, split), names)
 
 
 def pick(scenes: list[SuiteScene], names: tuple[str, ...]) -> list[SuiteScene]:
-    """The named ones of them, all where no name is given. Raises GofError: one is not there."""
+    """Return the named ones of them, all where no name is given. Raises GofError: one is not there."""
     unknown = sorted(set(names) - {scene.name for scene in scenes})
     if unknown:
         there = ", ".join(scene.name for scene in scenes)
@@ -135,7 +136,7 @@ def pick(scenes: list[SuiteScene], names: tuple[str, ...]) -> list[SuiteScene]:
 
 
 def _specs() -> dict[str, tuple[SceneSpec, FoamFire | None]]:
-    """Every fire that a line can name."""
+    """Return every fire that a line can name."""
     found = {fire.name: (fire.spec, fire.foam) for split in SPLITS for fire in fires(split)}
     for path in BUILT_IN.glob("*/spec.json"):
         spec = SceneSpec.from_dict(read_json(path))

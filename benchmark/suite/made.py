@@ -4,12 +4,14 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import get_args
+from typing import ClassVar, Literal, get_args
 
 from gof.core.errors import DataFormatError
 from gof.core.files import read_json
+from gof.core.records import read_record
 from gof.dataset import Dataset
-from gof_benchmark.suite import SEALED, Size, SuiteScene, scenes_of
+from gof.dataset.truth import Truth
+from gof_benchmark.suite import FOLDER, SEALED, Size, SuiteScene, scenes_of
 from gof_benchmark.views.shrunk import SHRUNK
 from gof_blender.core.checked_json import SpecError
 from gof_blender.pure.layout import Layout
@@ -34,7 +36,7 @@ class MadeScene:
 
 
 def made_scenes(folder: Path, split: str = "all") -> dict[str, MadeScene]:
-    """The finished scenes of WORK/SIZE, by name.
+    """Return the finished scenes of WORK/SIZE, by name.
 
     Raises:
         DataFormatError: not a size's folder, nothing finished in it, or a scene there was made from another spec.
@@ -54,19 +56,19 @@ def made_scenes(folder: Path, split: str = "all") -> dict[str, MadeScene]:
 
 
 def size_of(folder: Path) -> Size | None:
-    """The size whose scenes a folder holds, by its name; None where it is none."""
+    """Return the size whose scenes a folder holds, by its name; None where it is none."""
     name = folder.resolve().name
     return next((size for size in SIZES if name in (size, SEALED[size])), None)
 
 
 def folder_of(work: Path, size: Size) -> Path:
-    """Where the scenes of a size are made: WORK/SIZE, or the folder that the version before has begun."""
+    """Return where the scenes of a size are made: WORK/SIZE, or the folder that the version before has begun."""
     former = work / SEALED[size]
     return former if former.is_dir() and not (work / size).is_dir() else work / size
 
 
 def scene_of(dataset: Path) -> MadeScene:
-    """The scene whose dataset lies in WORK/SIZE/SCENE. Raises DataFormatError: it is none of the suite."""
+    """Return the scene whose dataset lies in WORK/SIZE/SCENE. Raises DataFormatError: it is none of the suite."""
     name = dataset.resolve().name
     found = made_scenes(dataset.resolve().parent)
     if name not in found:
@@ -75,7 +77,7 @@ def scene_of(dataset: Path) -> MadeScene:
 
 
 def _require_spec(scene: SuiteScene, layout: Layout) -> None:
-    """Raises DataFormatError: the dataset is of another spec than the suite's."""
+    """Raise DataFormatError: the dataset is of another spec than the suite's."""
     try:
         made = SceneSpec.from_dict(read_json(layout.spec))
     except SpecError as e:
@@ -86,3 +88,39 @@ def _require_spec(scene: SuiteScene, layout: Layout) -> None:
             f"{layout.root}: was made from another spec ({', '.join(different)} differ) and is not the suite's scene; "
             "remove the folder and make it again"
         )
+
+
+# ----------------------------------------------------------------
+# The recorded truths of the suite's fires: truth.json.
+#
+# Cameras and surroundings do not change a fire: scenes of one fire share its truth, and it is recorded once a size. A
+# size that has not been made yet has no record.
+
+FILE = FOLDER / "truth.json"
+
+Verdict = Literal["same", "not to the bit", "unknown"]
+
+
+@dataclass(frozen=True)
+class SuiteTruths:
+    """truth.json: `fires[FIRE][SIZE]`, sizes as in SEALED; `made_with`: the programs that made them."""
+
+    SCHEMA: ClassVar[str] = "gof-suite-truth"
+    VERSION: ClassVar[int] = 1
+
+    made_with: dict[str, str]
+    fires: dict[str, dict[str, Truth]]
+
+
+def compare(scene: SuiteScene, size: Size, dataset: Dataset) -> tuple[Verdict, str]:
+    """Return a made scene's truth against the recorded one, and in words."""
+    truths = read_record(SuiteTruths, FILE)
+    recorded = truths.fires.get(scene.fire, {}).get(SEALED[size])
+    if recorded is None:
+        return "unknown", f"no truth of {scene.fire} is recorded in this size: it has not been made yet"
+    differs = Truth.of(dataset).differs(recorded)
+    if not differs:
+        return "same", "its truth is the recorded one, to the bit"
+    made_with = truths.made_with[scene.solver]
+    said = f"{differs}. {scene.solver} is not bit-stable between CPUs ({made_with} made the recorded one)"
+    return "not to the bit", f"{said}: scores may differ a little"

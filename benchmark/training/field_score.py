@@ -1,8 +1,9 @@
-"""Scores of a flow field before any optimisation, and the controls beside which they must be read."""
+"""Scores of a flow field before any optimisation, and the trivial baselines beside which they must be read."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from pathlib import Path
 
 import numpy as np
 
@@ -10,8 +11,13 @@ from gof.core.gaussians import TransientGaussians
 from gof.dataset import Dataset
 from gof.evaluate import dve
 from gof.reconstruct.flame_axis import FlameAxis
-from gof.reconstruct.flow_field import FlowField
+from gof.reconstruct.flow_field import FlowField, seen_flow_field
+from gof.reconstruct.flow_prior import VOXELS
+from gof.reconstruct.methods import OURS
+from gof.reconstruct.observation import Observation
 from gof.reconstruct.pace import GRAVITY, LAW
+from gof.reconstruct.presets import PRESETS
+from gof.reconstruct.shrink import shrink
 from gof.reconstruct.voxels import FlameVoxels
 
 HALF_WIDTH = (
@@ -29,7 +35,7 @@ class Score:
 
 
 def score(field: FlowField, dataset: Dataset) -> Score:
-    """Of a flow field against the dataset's true velocity."""
+    """Return the score of a flow field against the dataset's true velocity."""
     results = []
     for frame in field.frames:
         cloud = on_voxels(field.voxels, frame.velocity, frame.emission, frame.time_s)
@@ -56,7 +62,8 @@ def fluctuation_cos_sim(field: FlowField, dataset: Dataset) -> float:
 
 
 def within(field: FlowField, dataset: Dataset, deviations: float = 1) -> float:
-    """Share of the light whose velocity is within so many standard deviations of the truth, mean of the components."""
+    """Return share of the light whose velocity is within so many standard deviations of the truth, mean of the
+    components."""
     inside = total = 0.0
     for frame in field.frames:
         truth = dataset.velocity.at(frame.time_s).sample(field.voxels.center)
@@ -67,7 +74,7 @@ def within(field: FlowField, dataset: Dataset, deviations: float = 1) -> float:
 
 
 def on_voxels(voxels: FlameVoxels, velocity: np.ndarray, emission: np.ndarray, time_s: float) -> TransientGaussians:
-    """The fused field as point-like Gaussians, weighted by emission, so that DVE itself scores it."""
+    """Return the fused field as point-like Gaussians, weighted by emission, so that DVE itself scores it."""
     n = len(voxels.center)
     return TransientGaussians(
         position=voxels.center,
@@ -82,11 +89,11 @@ def on_voxels(voxels: FlameVoxels, velocity: np.ndarray, emission: np.ndarray, t
     )
 
 
-# ---- Controls: what a prediction without skill, or a textbook, scores ------------------------------------------------
+# ---- Trivial baselines: scores of a prediction without skill, or of a textbook --------------------------------------
 
 
 def best_constant(field: FlowField, dataset: Dataset) -> FlowField:
-    """Each frame's mean true velocity, weighted by emission, everywhere."""
+    """Return each frame's mean true velocity, weighted by emission, everywhere."""
     frames = []
     for frame in field.frames:
         truth = dataset.velocity.at(frame.time_s).sample(field.voxels.center)
@@ -96,7 +103,7 @@ def best_constant(field: FlowField, dataset: Dataset) -> FlowField:
 
 
 def mean_per_height(field: FlowField, dataset: Dataset) -> FlowField:
-    """Each frame's mean true velocity of every height, weighted by emission."""
+    """Return each frame's mean true velocity of every height, weighted by emission."""
     layer = field.voxels.index[:, 2]
     frames = []
     for frame in field.frames:
@@ -116,9 +123,25 @@ def buoyant_law(field: FlowField) -> FlowField:
 
 
 def _straight(field: FlowField, axis: FlameAxis, speed: np.ndarray, direction: np.ndarray) -> FlowField:
-    """Speed (V,) m/s on the axis, along a direction, halved HALF_WIDTH away from the axis."""
+    """Return speed (V,) m/s on the axis, along a direction, halved HALF_WIDTH away from the axis."""
     layers = axis.layers
     offset = layers.sideways(field.voxels.center - axis.sections.middle[layers.nearest])
     half = HALF_WIDTH * np.sqrt(axis.radius * axis.length)
     velocity = (speed * 0.5 ** ((offset**2).sum(1) / half**2))[:, None] * direction
     return replace(field, frames=tuple(replace(frame, velocity=velocity) for frame in field.frames))
+
+
+# ----------------------------------------------------------------
+# What `gof reconstruct --preset preview` makes of a dataset up to the flow field that is seen, before any prior.
+
+EFFORT = PRESETS["preview"]
+
+
+def open_small(path: Path) -> Dataset:
+    """Return the dataset in a folder, its pictures no larger than the preset's."""
+    return shrink(Dataset.open(path), EFFORT.longest_side)
+
+
+def preview_field(observation: Observation) -> FlowField:
+    """Return the fused flow on the flow prior's voxels, m/s."""
+    return seen_flow_field(observation, OURS, VOXELS)

@@ -4,11 +4,12 @@
     python -m gof_benchmark.training.flow_prior WORK [--out gof/reconstruct/flow_prior.npz]
 
 Runs the motion and fusion stages on every dataset in WORK/dev, prints what the prior does for a flame it has not seen
-(each fire left out in turn, and the datasets given with --test), and writes the weights. Scores and controls as in
+(each fire left out in turn, and the datasets given with --test), and writes the weights. Scores and trivial baselines
+as in
 `field_score`, means over frames of DVE's figures (speed is its least-squares gain); `pace` is the estimated mean speed
 over the true one; `within` is the share of the light whose velocity is within one standard deviation of the truth,
-component by component (0.68 where errors are normal and the doubt is right). `--without SOLVER` shows what is left when
-a solver's fires are not trained on.
+component by component (0.68 where errors are normal and the uncertainty is right). `--without SOLVER` shows what is
+left when a solver's fires are not trained on.
 """
 
 from __future__ import annotations
@@ -26,7 +27,7 @@ import tyro
 from gof.core.errors import GofError
 from gof.core.files import atomic_path, read_json
 from gof.dataset import Dataset
-from gof.host.progress import progress_bar
+from gof.host.terminal import progress_bar
 from gof.reconstruct.flow_field import FlowField
 from gof.reconstruct.flow_prior import FEATURES, VECTORS, WEIGHTS, FlameDescriber, FlowPrior, Network, evaluate_network
 from gof.reconstruct.observation import observe
@@ -37,10 +38,11 @@ from gof_benchmark.training.field_score import (
     buoyant_law,
     fluctuation_cos_sim,
     mean_per_height,
+    open_small,
+    preview_field,
     score,
     within,
 )
-from gof_benchmark.training.preview_field import open_small, preview_field
 
 
 @dataclass
@@ -76,7 +78,7 @@ class Samples:
 
     @classmethod
     def of(cls, describer: FlameDescriber, truth: np.ndarray, rng: np.random.Generator, most: int = 30_000) -> Samples:
-        """At most so many voxels of a flame.
+        """Return at most so many voxels of a flame.
 
         Args:
             truth: (F, V, 3) true velocity over its pace.
@@ -101,7 +103,7 @@ class Samples:
 
     @classmethod
     def joined(cls, flames: list[Samples]) -> Samples:
-        """Every flame counts alike, whatever it has of voxels."""
+        """Return every flame counts alike, whatever it has of voxels."""
         mean = sum(len(flame) for flame in flames) / len(flames)
         parts = [replace(flame, weight=flame.weight * mean / len(flame)) for flame in flames]
         names = cls.__dataclass_fields__
@@ -170,32 +172,32 @@ HEADER = """\
 
 @dataclass(frozen=True)
 class Row:
-    """A flame's figures before and after the prior, and its controls'.
+    """A flame's figures before and after the prior, and its trivial baselines'.
 
     Attributes:
         seen, found: L2, CosSim, speed; fluctuation CosSim (found only).
         pace: estimated over true, of several flames the geometric mean.
         within: share of the light within a standard deviation.
-        controls: L2, CosSim of the mean per height, the best constant, the buoyant law.
+        trivial_baselines: L2, CosSim of the mean per height, the best constant, the buoyant law.
     """
 
     seen: tuple[float, ...]
     found: tuple[float, ...]
     pace: float
     within: float
-    controls: tuple[tuple[float, ...], ...]
+    trivial_baselines: tuple[tuple[float, ...], ...]
 
     @classmethod
     def of(cls, clip: Clip, prior: FlowPrior) -> Row:
         seen, dataset = clip.field, clip.dataset
         found = prior.correct(seen)
-        controls = mean_per_height(seen, dataset), best_constant(seen, dataset), buoyant_law(seen)
+        trivial_baselines = mean_per_height(seen, dataset), best_constant(seen, dataset), buoyant_law(seen)
         return cls(
             astuple(score(seen, dataset)),
             (*astuple(score(found, dataset)), fluctuation_cos_sim(found, dataset)),
             float(np.exp(np.mean(pace_error(clip, prior.pace)))),
             within(found, dataset),
-            tuple(astuple(score(control, dataset))[:2] for control in controls),
+            tuple(astuple(score(trivial_baseline, dataset))[:2] for trivial_baseline in trivial_baselines),
         )
 
     @classmethod
@@ -203,14 +205,14 @@ class Row:
         def of(name: str) -> np.ndarray:
             return np.mean([getattr(row, name) for row in rows], axis=0)
 
-        return cls(of("seen"), of("found"), of("pace"), of("within"), of("controls"))
+        return cls(of("seen"), of("found"), of("pace"), of("within"), of("trivial_baselines"))
 
     def __str__(self) -> str:
         def listed(values: Sequence[float]) -> str:
             return ", ".join(f"{value:.3f}" for value in values)
 
         own = f"{listed(self.seen)} | {listed(self.found)} | {self.pace:.2f} | {self.within:.2f}"
-        return f"{own} | {' | '.join(map(listed, self.controls))}"
+        return f"{own} | {' | '.join(map(listed, self.trivial_baselines))}"
 
 
 def pace_error(clip: Clip, pace: Pace, metres: bool = True) -> np.ndarray:
@@ -220,7 +222,7 @@ def pace_error(clip: Clip, pace: Pace, metres: bool = True) -> np.ndarray:
 
 
 def mean_speed(velocity: np.ndarray, emission: np.ndarray) -> float:
-    """Of velocity (F, V, 3), weighted by emission (F, V)."""
+    """Return the mean speed of velocity (F, V, 3), weighted by emission (F, V)."""
     return float((emission * np.linalg.norm(velocity, axis=-1)).sum() / emission.sum())
 
 
@@ -244,7 +246,7 @@ class Scaling:
 
 
 def train_velocity(flames: list[Samples], seed: int = 0, members: int = 4, steps: int = 700) -> tuple[Scaling, Network]:
-    """The ensemble that gives the velocity over the pace, by AdamW with noise on the features."""
+    """Return the ensemble that gives the velocity over the pace, by AdamW with noise on the features."""
     torch.manual_seed(seed)
     samples = Samples.joined(flames)
     scaling = Scaling.of(samples)
@@ -269,10 +271,10 @@ def velocity_loss(
     return (weight * (squared + 1 - direction)).mean()
 
 
-def train_doubt(
+def train_uncertainty(
     scaling: Scaling, flames: list[Samples], errors: list[torch.Tensor], seed: int = 0, steps: int = 500
 ) -> Network:
-    """One network for the log of the standard deviation, over the pace, by maximum likelihood.
+    """Return one network for the log of the standard deviation, over the pace, by maximum likelihood.
 
     Args:
         errors: per flame (N, 3), over the pace, of ensembles and lines that had not been fitted to it: they are surer
@@ -292,7 +294,7 @@ def train_doubt(
 
 
 def forward(layers: Layers, features: torch.Tensor, noise: float = 0.1) -> torch.Tensor:
-    """(members, B, out) from features (members, B, K), which are shaken so that no flame is learned by heart."""
+    """Return (members, B, out) from features (members, B, K), which are shaken so that no flame is learned by heart."""
     h = features + noise * torch.randn(features.shape)
     for weight, bias in layers[:-1]:
         h = torch.tanh(h @ weight + bias)
@@ -325,7 +327,7 @@ def plain(layers: Layers) -> Network:
 
 
 def held_out_error(scaling: Scaling, network: Network, samples: Samples, pace: float = 1.0) -> torch.Tensor:
-    """(N, 3) of an ensemble on a flame that it was not trained on, over the pace that was estimated for it.
+    """Return (N, 3) of an ensemble on a flame that it was not trained on, over the pace that was estimated for it.
 
     Args:
         pace: estimated over true one.
@@ -335,8 +337,8 @@ def held_out_error(scaling: Scaling, network: Network, samples: Samples, pace: f
     return torch.tensor(velocity) - samples.truth / pace
 
 
-def prior_of(scaling: Scaling, velocity: Network, doubt: Network, pace: Pace) -> FlowPrior:
-    return FlowPrior(scaling.mean.numpy(), scaling.deviation.numpy(), velocity, doubt, pace)
+def prior_of(scaling: Scaling, velocity: Network, uncertainty: Network, pace: Pace) -> FlowPrior:
+    return FlowPrior(scaling.mean.numpy(), scaling.deviation.numpy(), velocity, uncertainty, pace)
 
 
 def main(argv: list[str] | None = None) -> None:
@@ -362,12 +364,14 @@ def main(argv: list[str] | None = None) -> None:
     without = [LeftOut.of(clip, known) for clip, known in zip(clips, others, strict=True)]
     errors = {clip.dataset.path: left.errors for clip, left in zip(clips, without, strict=True)}
 
-    def doubt_of(known: list[Clip], scaling: Scaling) -> Network:
-        return train_doubt(scaling, samples_of(known), [error for clip in known for error in errors[clip.dataset.path]])
+    def uncertainty_of(known: list[Clip], scaling: Scaling) -> Network:
+        return train_uncertainty(
+            scaling, samples_of(known), [error for clip in known for error in errors[clip.dataset.path]]
+        )
 
     for clip, known, left in zip(clips, others, without, strict=True):
-        doubt = doubt_of(known, left.scaling)
-        show(clip.dataset.path.name, clip, prior_of(left.scaling, left.velocity, doubt, left.pace))
+        uncertainty = uncertainty_of(known, left.scaling)
+        show(clip.dataset.path.name, clip, prior_of(left.scaling, left.velocity, uncertainty, left.pace))
     print(f"| mean | {Row.mean(rows)} |")
     for metres in (True, False):
         off = [pace_error(clip, left.pace, metres) for clip, left in zip(clips, without, strict=True)]
@@ -375,7 +379,7 @@ def main(argv: list[str] | None = None) -> None:
         spread = np.sqrt(np.mean(np.square(np.concatenate(off))))
         print(f"pace of flames left out, {unit}: {spread:.0%} off (RMS of the log)")
     scaling, velocity = train_velocity(samples_of(clips))
-    prior = prior_of(scaling, velocity, doubt_of(clips, scaling), fitted_pace(clips))
+    prior = prior_of(scaling, velocity, uncertainty_of(clips, scaling), fitted_pace(clips))
     for clip in everything:
         if clip.solver == config.without:
             show(clip.dataset.path.name, clip, prior)
@@ -398,7 +402,7 @@ def fitted_pace(clips: list[Clip]) -> Pace:
 
 @dataclass(frozen=True)
 class LeftOut:
-    """What is learned of a clip from others alone, and how wrong it is there; errors as `held_out_error`, by flame."""
+    """A clip's prediction learned from others alone, and its error there; errors as `held_out_error`, by flame."""
 
     pace: Pace
     scaling: Scaling

@@ -63,7 +63,7 @@ def _image_lines(cameras: list[Camera], names: list[str], seen: list[list[tuple[
 
 
 def _point_lines(position: np.ndarray, colour: np.ndarray, tracks: list[list[tuple[int, int]]]) -> Iterator[str]:
-    """Points that two cameras or more see; the reprojection error is that of exact depth, 0."""
+    """Yield points that two cameras or more see; the reprojection error is that of exact depth, 0."""
     for point, track in enumerate(tracks):
         if len(track) >= 2:
             observations = " ".join(f"{image} {index}" for image, index in track)
@@ -80,7 +80,8 @@ def _write_lines(path: Path, lines: Iterator[str]) -> None:
 
 
 def surface_points(source: ViewSource, numbers: list[int]) -> tuple[np.ndarray, np.ndarray]:
-    """Points (N, 3) of random pixels of some cameras that lie on flat surfaces, and their colours (N, 3) uint8."""
+    """Return points (N, 3) of random pixels of some cameras that lie on flat surfaces, and their colours (N, 3)
+    uint8."""
     import cv2
 
     rng = np.random.default_rng(0)
@@ -97,7 +98,8 @@ def surface_points(source: ViewSource, numbers: list[int]) -> tuple[np.ndarray, 
 
 
 def is_flat(depth: np.ndarray) -> np.ndarray:
-    """(H, W) bool: finite depth whose four neighbours lie on one plane with it (second differences of 1/depth)."""
+    """Return (H, W) bool: finite depth whose four neighbours lie on one plane with it (second differences of
+    1/depth)."""
     with np.errstate(divide="ignore", invalid="ignore"):
         inverse = 1.0 / depth.astype(np.float64)  # linear across a plane
         bend = np.zeros(depth.shape)
@@ -109,7 +111,7 @@ def is_flat(depth: np.ndarray) -> np.ndarray:
 
 
 def _is_seen(pixels: np.ndarray, depth: np.ndarray, surface: np.ndarray) -> np.ndarray:
-    """(N,) bool: the pixel lies in the picture, and the surface there is as deep as the point."""
+    """Return (N,) bool: the pixel lies in the picture, and the surface there is as deep as the point."""
     height, width = surface.shape
     with np.errstate(invalid="ignore"):
         x, y = (np.nan_to_num(np.floor(v), nan=-1).astype(int) for v in pixels.T)

@@ -33,7 +33,8 @@ def write(source: ViewSource) -> None:
 
 
 def field_of_view(dataset: Dataset) -> float:
-    """The horizontal field of view that all cameras share, radians. Raises DataFormatError: they do not share one."""
+    """Return the horizontal field of view that all cameras share, radians. Raises DataFormatError: they do not share
+    one."""
     first = dataset.cameras[0]
     for camera in dataset.cameras:
         if not (_same_lens(camera, first) and is_centred(camera)):
@@ -49,7 +50,7 @@ def _same_lens(a: Camera, b: Camera) -> bool:
 
 
 def is_centred(camera: Camera) -> bool:
-    """Whether the principal point is the picture's middle, and pixels are square."""
+    """Return whether the principal point is the picture's middle, and pixels are square."""
     K = camera.K
     off_centre = max(abs(K[0, 2] - camera.width / 2), abs(K[1, 2] - camera.height / 2))
     return off_centre < 1e-6 and abs(K[0, 0] - K[1, 1]) < 1e-6

@@ -10,8 +10,7 @@ import numpy as np
 
 from gof.core.files import atomic_path, path_in
 
-from .links import link
-from .source import ViewSource
+from .source import ViewSource, link
 
 
 def write(source: ViewSource) -> None:
@@ -38,7 +37,7 @@ def link_pictures(source: ViewSource, camera: int, number: int) -> None:
 
 
 def poses_bounds(source: ViewSource, camera: int) -> np.ndarray:
-    """(17,) row of a camera: the 3x5 matrix and the near and far depth, m."""
+    """Return (17,) row of a camera: the 3x5 matrix and the near and far depth, m."""
     lens = source.dataset.cameras[camera]
     right, up, back, centre = source.opengl_pose(camera)[:3].T
     size = np.array([lens.height, lens.width, lens.K[0, 0]])

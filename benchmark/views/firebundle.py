@@ -30,8 +30,7 @@ from gof.reconstruct.presets import PRESETS
 from gof.reconstruct.shrink import shrink
 
 from .dnerf import is_centred
-from .links import link
-from .source import ViewSource
+from .source import ViewSource, link
 
 FOLDER, FORMAT = "fire_bundle", "fire-bundle-v2"
 # Their fusion, but our masks and our hull: theirs, of any two cameras, reaches far behind the flame.
@@ -55,7 +54,8 @@ class Window:
 
     @classmethod
     def of(cls, dataset: Dataset) -> Window:
-        """Raises DataFormatError: the held-out frames are not every n-th one, which is all their trainer knows."""
+        """Build it. Raises DataFormatError: the held-out frames are not every n-th one, which is all their trainer
+        knows."""
         test, frames = dataset.test_frames, len(dataset.times_s)
         if not test:
             return cls(0, frames, 0)
@@ -101,7 +101,8 @@ class Bundle:
         return path_in(self.folder, name)
 
     def made_from(self, camera: int, frames: Iterable[int]) -> dict[str, Any]:
-        """Which dataset frames of a camera went into a file: as the window counts them, and as the dataset does."""
+        """Return which dataset frames of a camera went into a file: as the window counts them, and as the dataset
+        does."""
         numbers = sorted(int(k) for k in frames)
         return {
             "video": self.dataset.description.cameras[self.numbers[camera]].rgb,
@@ -114,7 +115,8 @@ class Bundle:
 
 
 def write(source: ViewSource) -> None:
-    """Raises DataFormatError: lenses that are off centre, irregular splits, or no flame that can be placed in space."""
+    """Write the view. Raises DataFormatError: lenses that are off centre, irregular splits, or no flame that can be
+    placed in space."""
     dataset = Dataset.open(source.dataset.path)
     for camera in dataset.cameras:
         if not is_centred(camera):
@@ -183,7 +185,7 @@ def _write_pictures(bundle: Bundle) -> None:
 
 
 def _relative_disparity(depth: np.ndarray) -> np.ndarray:
-    """(H, W) uint16: 1 / depth, 65535 at the nearest surface and 0 at the farthest, or where nothing is."""
+    """Return (H, W) uint16: 1 / depth, 65535 at the nearest surface and 0 at the farthest, or where nothing is."""
     disparity = 1 / depth.astype(np.float64)  # of inf: 0
     span = disparity.max() - disparity.min()
     return np.uint16(65535 * (disparity - disparity.min()) / (span if span > 0 else 1))
@@ -243,7 +245,7 @@ def _write_masks(bundle: Bundle) -> None:
 
 
 def _true_mask(dataset: Dataset, camera: int, frame: int) -> np.ndarray:
-    """(H, W) bool: where flame is in a held-out picture; estimated where the dataset does not know."""
+    """Return (H, W) bool: where flame is in a held-out picture; estimated where the dataset does not know."""
     mask = dataset.mask(camera, frame)
     return flame_mask(dataset.image(camera, frame), dataset.static(camera)) if mask is None else mask > 0
 

@@ -18,16 +18,16 @@ from gof.core.errors import DataFormatError
 from gof.core.files import atomic_path, path_in
 
 from .colmap import write_model
-from .links import link
 from .points import StartingPoints
-from .source import ViewSource
+from .source import ViewSource, link
 
 FOLDER = "freetimegs"
 VALIDATION = "00_validation"
 
 
 def write(source: ViewSource) -> None:
-    """Raises DataFormatError: a camera's name comes before that of the held-out one, or no flame to start from."""
+    """Write the view. Raises DataFormatError: a camera's name comes before that of the held-out one, or no flame to
+    start from."""
     dataset = source.dataset
     numbers = [number for number, trains in enumerate(source.trains) if trains]
     held_out = next((number for number, trains in enumerate(source.trains) if not trains), numbers[0])

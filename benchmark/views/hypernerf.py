@@ -15,17 +15,16 @@ from gof.core.errors import DataFormatError
 from gof.core.files import atomic_path, path_in
 
 from .dnerf import field_of_view
-from .links import link
 from .points import StartingPoints, write_ply
-from .source import ViewSource
+from .source import ViewSource, link
 
 FOLDER = "hypernerf"
 TIMES = 2  # the size that lenses are written for, over that of the pictures
 
 
 def write(source: ViewSource) -> None:
-    """Raises DataFormatError: lenses differ or are off centre (its readers have one), times that are not even, no
-    held-out frame (its readers would choose some), or no flame to start from."""
+    """Write the view. Raises DataFormatError: lenses differ or are off centre (its readers have one), times that are
+    not even, no held-out frame (its readers would choose some), or no flame to start from."""
     dataset = source.dataset
     field_of_view(dataset)
     steps = np.diff(dataset.times_s)
@@ -56,7 +55,8 @@ def _name(camera: int, frame: int) -> str:
 
 
 def _camera(source: ViewSource, number: int) -> dict:
-    """A camera as Nerfies writes it: the world seen from it is ``orientation (x - position)``, axes as OpenCV's."""
+    """Return a camera as Nerfies writes it: the world seen from it is ``orientation (x - position)``, axes as
+    OpenCV's."""
     lens = source.dataset.cameras[number]
     rotation, shift = lens.world_to_camera[:3, :3], lens.world_to_camera[:3, 3]
     return {

@@ -19,16 +19,16 @@ from gof.core.rotations import quaternions_wxyz
 
 from .dnerf import field_of_view
 from .dynerf import poses_bounds
-from .links import link
 from .points import StartingPoints, write_ply
-from .source import ViewSource
+from .source import ViewSource, link
 
 FOLDER = "multipleview"
 PINHOLE = 1
 
 
 def write(source: ViewSource) -> None:
-    """Raises DataFormatError: lenses differ or are off centre (the layout has one focal length), or no flame."""
+    """Write the view. Raises DataFormatError: lenses differ or are off centre (the layout has one focal length), or no
+    flame."""
     dataset = source.dataset
     field_of_view(dataset)
     numbers = [number for number, trains in enumerate(source.trains) if trains]

@@ -28,7 +28,8 @@ FPS = 30.0  # of the file; readers count frames
 
 
 def write(source: ViewSource) -> None:
-    """Raises DataFormatError: lenses differ or are off centre, a video cannot be written, or no flame to start from."""
+    """Write the view. Raises DataFormatError: lenses differ or are off centre, a video cannot be written, or no flame
+    to start from."""
     dataset = source.dataset
     field_of_view(dataset)
     numbers = [number for number, trains in enumerate(source.trains) if trains]
@@ -47,7 +48,7 @@ def write(source: ViewSource) -> None:
 
 
 def padded(width: int, height: int) -> tuple[int, int]:
-    """The smallest 4:3 of whole eights that holds a doubled picture, px: codecs want even sides."""
+    """Return the smallest 4:3 of whole eights that holds a doubled picture, px: codecs want even sides."""
     eighths = -(-max(TIMES * width, -(-4 * TIMES * height // 3)) // 8)
     return 8 * eighths, 6 * eighths
 

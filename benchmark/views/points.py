@@ -36,7 +36,7 @@ class Points:
         return len(self.position)
 
     def some(self, count: int, seed: int) -> Points:
-        """At most `count` of them, drawn at random."""
+        """Return at most `count` of them, drawn at random."""
         chosen = np.random.default_rng(seed).permutation(len(self))[:count]
         return Points(self.position[chosen], self.colour[chosen])
 
@@ -53,7 +53,7 @@ class StartingPoints:
 
     @classmethod
     def of(cls, source: ViewSource) -> StartingPoints:
-        """Raises DataFormatError: no plates to tell a flame from, or no flame that two cameras see."""
+        """Build it. Raises DataFormatError: no plates to tell a flame from, or no flame that two cameras see."""
         numbers = [number for number, trains in enumerate(source.trains) if trains]
         return cls(Points(*surface_points(source, numbers)), _hulls(source, numbers))
 

@@ -26,8 +26,7 @@ from gof.host.terminal import console
 from gof_blender.pure.layout import Layout
 
 from . import write as write_view
-from .links import link
-from .source import ViewSource
+from .source import ViewSource, link
 
 SHRUNK = "pictures"  # in a dataset's provenance: how its pictures were made smaller
 
@@ -41,13 +40,13 @@ class ShrunkConfig:
     out: tyro.conf.Positional[Path]
     """Folder to write; it must not be there."""
     longest_side: int = 160
-    """Of the pictures, px."""
+    """Longest side of the pictures, px."""
     views: tuple[str, ...] = ()
     """Layouts to write in it: as --views of gof generate."""
 
 
 def shrink(root: Path, out: Path, longest_side: int) -> None:
-    """Raises GofError: `out` is there, or the pictures are not larger."""
+    """Shrink a dataset. Raises GofError: `out` is there, or the pictures are not larger."""
     source = ViewSource.open(root)
     dataset = source.dataset
     if out.exists():
@@ -102,7 +101,7 @@ def _plate_depth(source: ViewSource, camera: int) -> Path:
 
 
 def _shrink_depth(source: ViewSource, camera: int, out: Path, size: tuple[int, int]) -> None:
-    """The plate's depth, where it is known: of one of the old pixels under each new one."""
+    """Write the plate's depth, where it is known: of one of the old pixels under each new one."""
     path = _plate_depth(source, camera)
     if not path.is_file():
         return

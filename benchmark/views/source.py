@@ -1,7 +1,9 @@
-"""What every view needs of a dataset: cameras, times and splits, for training and for evaluation."""
+"""A dataset as every view needs it: cameras, times and splits, for training and for evaluation."""
 
 from __future__ import annotations
 
+import os
+import shutil
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -9,7 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from gof.core.errors import DataFormatError
-from gof.core.files import path_in
+from gof.core.files import atomic_path, path_in
 from gof.dataset import Dataset
 from gof.host import extras
 
@@ -30,14 +32,14 @@ class ViewSource:
 
     @classmethod
     def open(cls, root: Path) -> ViewSource:
-        """Raises DataFormatError if the folder holds no finished dataset."""
+        """Open it. Raises DataFormatError if the folder holds no finished dataset."""
         dataset = Dataset.open(root)
         entries = [entry for entry in dataset.description.cameras if entry.role != "around"]  # they miss most frames
         all_cameras = replace(dataset, cameras=dataset.description.cameras_from(dataset.datum, "train", "eval"))
         return cls(all_cameras, tuple(entry.role == "train" for entry in entries))
 
     def pictures(self) -> Iterator[tuple[int, int, bool]]:
-        """(camera, frame, whether a method may train on it), frame by frame."""
+        """Yield (camera, frame, whether a method may train on it), frame by frame."""
         for frame in range(len(self.dataset.times_s)):
             for camera, trains in enumerate(self.trains):
                 yield camera, frame, trains and frame not in self.dataset.test_frames
@@ -49,11 +51,11 @@ class ViewSource:
         return float((times[frame] - times[0]) / span) if span > 0 else 0.0
 
     def opengl_pose(self, camera: int) -> np.ndarray:
-        """(4, 4) camera to world with x right, y up, z backward, as Nerfstudio, NeRF and Blender write it."""
+        """Return (4, 4) camera to world with x right, y up, z backward, as Nerfstudio, NeRF and Blender write it."""
         return np.linalg.inv(self.dataset.cameras[camera].world_to_camera) @ np.diag([1.0, -1.0, -1.0, 1.0])
 
     def plate_depth(self, camera: int) -> np.ndarray:
-        """(H, W) float32 camera depth of the fire-free view, metres; inf where nothing is."""
+        """Return (H, W) float32 camera depth of the fire-free view, metres; inf where nothing is."""
         OpenEXR = extras.load("OpenEXR", "generate", "reading depth")
         plate = Path(self.dataset.name(camera, "static"))
         path = path_in(self.dataset.path, plate.with_suffix(".exr").as_posix())
@@ -63,3 +65,16 @@ class ViewSource:
         except (OSError, RuntimeError, KeyError) as error:
             raise DataFormatError(f"{path}: holds no readable depth 'Z' ({error})") from error
         return np.where(depth < FAR, depth, np.inf)
+
+
+# ----------------------------------------------------------------
+# A second name for a file, where a layout insists on its own names.
+
+
+def link(source: Path, target: Path) -> None:
+    """Link a second name to a file, or copy it where the file system has no hard links."""
+    with atomic_path(target) as temporary:
+        try:
+            os.link(source, temporary)
+        except OSError:
+            shutil.copyfile(source, temporary)

@@ -1,1 +1,1 @@
-"""What the add-on knows without Blender: specs, effects, timing, files. Nothing here imports bpy."""
+"""The add-on's knowledge without Blender: specs, effects, timing, files. Nothing here imports bpy."""

@@ -1,7 +1,7 @@
 """Bodies of a user's scene in the domain of a fire that we simulate: which of them the gas does not feel.
 
 The solver knows obstacles alone. What else stands in the domain is drawn, and gas and flame pass through it: a spec may
-mean that, so it is said and never refused.
+mean that, so it is a warning and never refused.
 """
 
 from __future__ import annotations
@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from . import sense
+from . import plausibility
 from .effects.obstacles import Obstacle, Settings
 from .fires import Domain, Fire
 from .spec import SceneSpec
@@ -22,7 +22,7 @@ BORDER = 0.5  # cells inside the domain's sides, which a floor or a wall may tou
 
 @dataclass(frozen=True)
 class Body:
-    """What one object of a scene, or all instances of it, looks like in a render."""
+    """One object of a scene, or all instances of it, as it looks in a render."""
 
     name: str
     triangles: np.ndarray
@@ -38,7 +38,7 @@ def air(spec: SceneSpec) -> tuple[np.ndarray, np.ndarray]:
 
 
 def notes(spec: SceneSpec, bodies: Iterable[Body]) -> list[str]:
-    """What the maker of the scene should know of them; nothing where no gas is simulated."""
+    """Return what the maker of the scene should know of them; nothing where no gas is simulated."""
     if not isinstance(spec.fire, Fire):
         return []
     low, high = air(spec)
@@ -53,7 +53,7 @@ def notes(spec: SceneSpec, bodies: Iterable[Body]) -> list[str]:
 
 
 def reach_into(triangles: np.ndarray, low: np.ndarray, high: np.ndarray) -> np.ndarray:
-    """(T,) whether each triangle (T, 3, 3) and the box have a point in common, by separating axes.
+    """Return (T,) whether each triangle (T, 3, 3) and the box have a point in common, by separating axes.
 
     Source: Akenine-Moeller, Fast 3D triangle-box overlap testing, 2001. A surface around the box has none.
     """
@@ -71,7 +71,7 @@ def reach_into(triangles: np.ndarray, low: np.ndarray, high: np.ndarray) -> np.n
 
 
 def _told(bodies: list[Body], told, spec: SceneSpec) -> Iterator[str]:
-    """A line for each of the first, and one for all others."""
+    """Yield a line for each of the first, and one for all others."""
     for body in bodies[:TOLD]:
         yield told(body, spec)
     if others := [body.name for body in bodies[TOLD:]]:
@@ -79,7 +79,7 @@ def _told(bodies: list[Body], told, spec: SceneSpec) -> Iterator[str]:
 
 
 def _in_burner(body: Body, spec: SceneSpec) -> str:
-    where = f"{body.name!r} stands in the burner at {sense.point_text(spec.fire.position)}"
+    where = f"{body.name!r} stands in the burner at {plausibility.point_text(spec.fire.position)}"
     if body.is_obstacle:
         return f"{where} and is an obstacle: no gas comes out there. Move it, or remove its Fluid physics"
     return f"{where}: fuel comes out of it. Leave it if that is what burns (logs, a wick); else move it or the fire"
@@ -93,18 +93,18 @@ def _in_gas(body: Body, spec: SceneSpec) -> str:
     block = _block(body.triangles, spec)
     if block is None:
         return text
-    place, size = (sense.point_text(values) for values in (block.position, block.size))
+    place, size = (plausibility.point_text(values) for values in (block.position, block.size))
     return f"{text}; or list a block: effects.obstacles, shape box, position {place}, size {size} m"
 
 
 def _block(triangles: np.ndarray, spec: SceneSpec) -> Obstacle | None:
-    """An obstacle as large as what of a body is in the domain; None where it would stand on the burner."""
+    """Return an obstacle as large as what of a body is in the domain; None where it would stand on the burner."""
     domain: Domain = spec.domain
     corners = triangles.reshape(-1, 3)
     low, high = np.maximum(corners.min(0), domain.min), np.minimum(corners.max(0), domain.max)
-    least = sense.CELLS_ACROSS * max(domain.size) / domain.resolution
+    least = plausibility.CELLS_ACROSS * max(domain.size) / domain.resolution
     size = tuple(float(f"{side:.3g}") for side in np.maximum(high - low, 1.01 * least))
     place = tuple(float(f"{value:.3g}") for value in (low + high) / 2)
     block = Obstacle("box", place, size)
     alone = replace(spec, effects=(Settings((block,)),))
-    return None if any(finding.fatal for finding in sense.obstacles(alone)) else block
+    return None if any(finding.fatal for finding in plausibility.obstacles(alone)) else block

@@ -13,12 +13,12 @@ from ..core.files import read_json, write_json
 WHITE, BLACK = 252, 26
 """8-bit values: clipped from WHITE on in red and green, which go last; black if no colour comes to BLACK."""
 MANY = 0.25
-"""Share of clipped or black pixels from which a picture is said to be badly exposed."""
+"""Share of clipped or black pixels from which a picture counts as badly exposed."""
 
 
 @dataclass(frozen=True)
 class Brightness:
-    """Of the flame in a picture.
+    """The brightness of the flame in a picture.
 
     Attributes:
         flame: share of the picture that it fills.
@@ -43,7 +43,7 @@ class Brightness:
 
     @classmethod
     def of(cls, picture: np.ndarray, mask: np.ndarray) -> Brightness:
-        """Of a display picture (H, W, 3) uint8 whose flame is where mask (H, W) is true."""
+        """Measure a display picture (H, W, 3) uint8 whose flame is where mask (H, W) is true."""
         flame = picture[mask]
         if not len(flame):
             return cls(0.0, 0.0, 0.0)

@@ -27,12 +27,12 @@ def code(worker: str, arguments: list[str]) -> str:
 
 
 def python() -> list[str]:
-    """A command that runs what `code` gives in this Python, whose Blender is a module."""
+    """Return a command that runs what `code` gives in this Python, whose Blender is a module."""
     return [sys.executable, "-c"]
 
 
 class Said:
-    """What a worker's process has said so far; a thread listens to it, so that `read` never waits.
+    """A worker's messages so far; a thread listens to it, so that `read` never waits.
 
     Attributes:
         done, total: parts of the stage's work, 0 before it says anything.
@@ -84,5 +84,5 @@ class Said:
 
 
 def last_lines(path: Path, count: int = 12) -> str:
-    """The end of a text file."""
+    """Return the end of a text file."""
     return "\n".join(path.read_text(encoding="utf-8", errors="replace").rstrip().split(os.linesep)[-count:])

@@ -1,4 +1,4 @@
-"""What a dataset will cost on this machine, before it is made: a small linear model with measured coefficients.
+"""The cost of a dataset on this machine, before it is made: a small linear model with measured coefficients.
 
     bake     start + steps * a * cells^p, of a fire of grids start + steps * f * cells
     picture  b + pixels * (c + samples * (d + e * resolution))        the flame is marched in steps of a cell
@@ -43,7 +43,7 @@ SOOT_PICTURE = 2.3  # a flame of soot, over one that absorbs nothing: finer step
 
 @dataclass(frozen=True)
 class Machine:
-    """Coefficients of the model, processor seconds over cores.
+    """Coefficients of the model, CPU seconds over cores.
 
     Attributes:
         error: relative prediction error that was measured with them.
@@ -71,7 +71,7 @@ REFERENCE = Machine(0.8, 4.5e-7, 1.13, 0.05, 1.5e-6, 1.8e-6, 0.0, 1.2e-7, 1.0, "
 
 @dataclass(frozen=True)
 class Prediction:
-    """Processor seconds per stage divided by the cores; their sum is the wall time where all cores are busy, as they
+    """CPU seconds per stage divided by the cores; their sum is the wall time where all cores are busy, as they
     are but for the start and the end: pictures are rendered during the bake. A machine with other work takes longer."""
 
     bake_s: float
@@ -96,7 +96,7 @@ class Prediction:
 
 
 def cells(spec: SceneSpec) -> int:
-    """Of the flame's whole grid. Raises SpecError: files of a fire of grids are wrong."""
+    """Return the cells of the flame's whole grid. Raises SpecError: files of a fire of grids are wrong."""
     cell = max(spec.box.size) / spec.box.resolution
     return int(np.prod([max(round(side / cell), 1) for side in spec.box.size]))
 
@@ -136,7 +136,7 @@ def machine_file() -> Path:
 
 
 def require_room(spec: SceneSpec, root: Path) -> Prediction:
-    """The prediction for a dataset in the folder `root`, which need not exist yet.
+    """Return the prediction for a dataset in the folder `root`, which need not exist yet.
 
     Raises:
         SpecError: memory or disk of this machine do not suffice, or it would take years; says which field helps.
@@ -165,7 +165,7 @@ def require_room(spec: SceneSpec, root: Path) -> Prediction:
 
 
 def _advice(spec: SceneSpec, cost: Callable[[SceneSpec], float], room: float) -> str:
-    """The one field that brings a cost down to what there is room for, and its largest value that does."""
+    """Return the one field that brings a cost down to what there is room for, and its largest value that does."""
     for name, values, changed in _smaller(spec):
         if cost(changed(values[-1])) <= room:  # the smallest helps: find the largest that does
             first = bisect_left(values, True, key=lambda value, changed=changed: cost(changed(value)) <= room)
@@ -176,7 +176,7 @@ def _advice(spec: SceneSpec, cost: Callable[[SceneSpec], float], room: float) ->
 
 
 def _smaller(spec: SceneSpec) -> Iterator[tuple[str, range, Callable[[int], SceneSpec]]]:
-    """Fields that cost, their smaller values from the largest on, and the spec with one of these."""
+    """Yield fields that cost, their smaller values from the largest on, and the spec with one of these."""
     least = -(-400 // min(spec.cameras.sensor_px))
     if spec.domain and spec.domain.resolution > 8:
         yield "domain.resolution", range(spec.domain.resolution - 1, 7, -1), lambda value: with_resolution(spec, value)
@@ -206,7 +206,7 @@ def memory_mb() -> float:
 
 
 def stage_settings(stage: str, spec: SceneSpec) -> dict:
-    """The settings that explain a stage's cost, for costs.json."""
+    """Return the settings that explain a stage's cost, for costs.json."""
     frames, cameras, resolution = spec.clip.frames, len(spec.cameras.names), spec.box.resolution
     return {
         "bake": {"resolution": resolution, "steps": spec.fire.bake_steps(spec.timeline), "effects": spec.effect_names},
@@ -240,7 +240,7 @@ def duration(seconds: float) -> str:
 
 
 def _step_s(spec: SceneSpec, machine: Machine) -> float:
-    """Seconds of one step of the bake: of the solver, or of reading grids and writing them for Cycles."""
+    """Return seconds of one step of the bake: of the solver, or of reading grids and writing them for Cycles."""
     count = cells(spec)
     if spec.domain is None:
         return machine.velocity * count
@@ -248,13 +248,13 @@ def _step_s(spec: SceneSpec, machine: Machine) -> float:
 
 
 def _fine_cells(spec: SceneSpec) -> int:
-    """Cells of detail per cell of the flow, 0 without fine noise."""
+    """Return cells of detail per cell of the flow, 0 without fine noise."""
     noise = next((e for e, name in zip(spec.effects, spec.effect_names, strict=True) if name == "fine_noise"), None)
     return noise.scale**3 if noise else 0
 
 
 def _memory_mb(spec: SceneSpec) -> float:
-    """Of the bake and a renderer, which run at the same time."""
+    """Return the memory of the bake and a renderer, which run at the same time."""
     count, fine, pixels = cells(spec), _fine_cells(spec), math.prod(spec.picture_px)
     bake_mb = BAKE_MB + count * BAKE_BYTES_PER_CELL * (1 + NOISE_MEMORY * fine) / 2**20
     scene = count * RENDER_BYTES_PER_CELL * (1 + fine / 4)
@@ -262,7 +262,7 @@ def _memory_mb(spec: SceneSpec) -> float:
 
 
 def _disk_mb(spec: SceneSpec) -> float:
-    """Of pictures, the solver's cache and the ground truth."""
+    """Return the disk space of pictures, the solver's cache and the ground truth."""
     frames, grids = spec.clip.frames, 1 + len(spec.ground_truth)
     images = math.prod(spec.picture_px) * len(spec.pictures) * PICTURE_BYTES_PER_PIXEL
     cache = (1 + _fine_cells(spec) / 4) * spec.fire.bake_steps(spec.timeline) * CACHE_BYTES_PER_CELL_STEP
@@ -270,7 +270,7 @@ def _disk_mb(spec: SceneSpec) -> float:
 
 
 def _frame_s(spec: SceneSpec, machine: Machine) -> float:
-    """Seconds of one picture, with all the solver steps that its shutter sees."""
+    """Return seconds of one picture, with all the solver steps that its shutter sees."""
     _, weights = spec.timeline.weights(0, 0)
     samples = max(1, round(spec.render.samples * float(weights.max())))
     samples *= SMOKE_SAMPLE if "smoke" in spec.effect_names else 1

@@ -6,12 +6,19 @@ What a stopped job has finished stays, and the next job for the same folder goes
 
 from __future__ import annotations
 
+import json
 import subprocess
+import tempfile
 import time
+from html import escape
 from pathlib import Path
 
-from ..core.costs import StageLog
-from . import cost_model, effects, report
+from ..core.checked_json import SpecError
+from ..core.costs import StageCost, StageLog
+from ..core.description import CameraEntry, DatasetDescription
+from ..core.files import read_json, write_text
+from . import cost_model, effects
+from . import spec as scene_spec
 from .brightness import Brightness
 from .child import JobError, Said, code, last_lines
 from .layout import Layout
@@ -21,16 +28,16 @@ UNITS = {"bake": " steps", "render": " pictures", "ground-truth": " frames"}
 
 
 def stages(spec: SceneSpec) -> list[str]:
-    """The stages that a spec needs, in order."""
+    """Return the stages that a spec needs, in order."""
     video = ["video"] if any(map(effects.encodes, spec.effects)) else []
     flow = ["flow"] if "flow" in spec.ground_truth else []
     return ["bake", "render", *video, "ground-truth", *flow, "finish"]
 
 
 def expected_s(spec: SceneSpec, prediction: cost_model.Prediction) -> dict[str, float]:
-    """Seconds on the clock that each stage should take when nothing else runs.
+    """Return seconds on the clock that each stage should take when nothing else runs.
 
-    The prediction is in processor seconds over cores; bake and export keep one core busy, not all.
+    The prediction is in CPU seconds over cores; bake and export keep one core busy, not all.
     """
     known = {
         "bake": prediction.bake_s * cost_model.CORES,
@@ -41,7 +48,7 @@ def expected_s(spec: SceneSpec, prediction: cost_model.Prediction) -> dict[str, 
 
 
 def left_s(spec: SceneSpec, layout: Layout, expected: dict[str, float]) -> dict[str, float]:
-    """Of the expected seconds those that a dataset still needs that was begun in the folder."""
+    """Return those of the expected seconds that a dataset still needs that was begun in the folder."""
     if not layout.bake_marker.is_file():
         return expected  # an unfinished bake starts over, and what was rendered of it is the same again
     missing = max(1 - layout.pictures() / len(spec.pictures), 0.0)
@@ -115,7 +122,7 @@ class Job:
         if self._waiting:
             self._note("stopped after the bake")
             return False
-        report.write(self.layout)
+        write_page(self.layout)
         self._note(f"finished: {self.layout.description}")
         return False
 
@@ -178,7 +185,7 @@ class Job:
         self._note(f"{self.stage}: {seconds:.0f} s, {self._said.peak_mb:.0f} MB")
 
     def _left_here(self) -> float:
-        """Seconds left in this stage: by its own pace as soon as there is one."""
+        """Return seconds left in this stage: by its own pace as soon as there is one."""
         if not self.stage:
             return 0.0
         if self._said.made <= 0:
@@ -195,3 +202,114 @@ class Job:
         self.layout.hidden.mkdir(parents=True, exist_ok=True)
         with open(self.layout.job_log, "a", encoding="utf-8") as file:
             print(time.strftime("%Y-%m-%d %H:%M:%S"), text, file=file)
+
+
+# ----------------------------------------------------------------
+# The page of a finished dataset: pictures of every camera, what it holds, and what each stage cost.
+
+SHOWN = 4  # frames per camera
+
+PAGE = """<!doctype html>
+<meta charset="utf-8"><title>{name}</title>
+<style>
+body {{ font: 15px/1.5 sans-serif; margin: 2em auto; max-width: 70em; background: #16181c; color: #ddd }}
+table {{ border-collapse: collapse }} td, th {{ padding: .2em .8em; text-align: left; border-bottom: 1px solid #333 }}
+img {{ height: 15em; margin: 2px }} code {{ color: #fb8 }}
+</style>
+<h1>{name}</h1>
+<p>{summary}</p>
+{pictures}
+<h2>What it cost</h2>
+<table><tr><th>stage<th>seconds<th>peak memory, MB</tr>{costs}</table>
+<h2>What it holds</h2>
+<table>{files}</table>
+"""
+
+
+FILES = {
+    "dataset.json": "cameras, clock, splits; opened by <code>gof.dataset.Dataset.open</code>",
+    "cameras/": "pictures, flame masks, linear EXR with depth and the flame alone",
+    "static/": "the same views without the fire",
+    "velocity.zarr": "velocity of the gas in m/s at every frame",
+    "scene.blend": "the scene itself",
+    "spec.json": "how it was made: <code>gof generate spec.json --out DIR</code> makes it again",
+    ".cache/": "logs and the solver's cache; may be deleted",
+}
+
+
+def write_page(layout: Layout) -> None:
+    """Write the page of a finished dataset; pictures are those of the dataset, not copies."""
+    dataset, stages = DatasetDescription.read(layout.root), StageLog(layout.costs).stages()
+    times = dataset.time_s
+    shown = sorted({round(k * (len(times) - 1) / max(SHOWN - 1, 1)) for k in range(SHOWN)})
+    page = PAGE.format(
+        name=escape(dataset.name),
+        summary=_summary(dataset, layout, stages),
+        pictures="\n".join(_row(camera, shown, times) for camera in dataset.cameras),
+        costs="".join(f"<tr><td>{escape(s.name)}<td>{s.seconds:.1f}<td>{s.peak_mb:.0f}</tr>" for s in stages),
+        files="".join(f"<tr><td><code>{name}</code><td>{text}</tr>" for name, text in FILES.items()),
+    )
+    write_text(layout.report, page)
+
+
+def _summary(dataset: DatasetDescription, layout: Layout, stages: tuple[StageCost, ...]) -> str:
+    spec, first = SceneSpec.from_dict(dataset.spec), dataset.cameras[0]
+    store = read_json(layout.velocity / "zarr.json")
+    cells = " x ".join(map(str, store["shape"][1:4]))
+    effects = ", ".join(dataset.effects) or "none"
+    fire = dataset.provenance.get("fire")  # of another solver
+    burns = f"{fire['name']} ({fire['solver']})" if fire else spec.fire.title
+    exposed = next((cost.settings["brightness"] for cost in stages if "brightness" in cost.settings), None)
+    flame = f" {str(Brightness(**exposed)).capitalize()}." if exposed else ""
+    return (
+        f"{escape(burns)} in {escape(spec.background.replace('_', ' '))}; "
+        f"effects: {escape(effects)}. {len(dataset.time_s)} frames at {spec.clip.fps:g} per second, "
+        f"{len(dataset.cameras)} cameras of {first.width} x {first.height} pixels, "
+        f"velocity on {cells} cells of {1000 * store['attributes']['voxel_size']:.1f} mm.{flame}"
+    )
+
+
+def _row(camera: CameraEntry, frames: list[int], times: tuple[float, ...]) -> str:
+    images = [(camera.static, "without fire")] + [(camera.rgb.format(frame=k), f"{times[k]:.3f} s") for k in frames]
+    pictures = "".join(f'<img src="{escape(path)}" title="{text}" alt="{text}">' for path, text in images)
+    return f"<h2>{escape(camera.name)}{' (evaluation)' if camera.role == 'eval' else ''}</h2><p>{pictures}</p>"
+
+
+# ----------------------------------------------------------------
+# A look into a spec's .blend by a Blender process of its own, before anything is made of it.
+
+WRONG = 2  # exit status of the worker where the spec or its .blend is wrong
+
+
+def scene_notes(spec: SceneSpec, python: list[str]) -> list[str]:
+    """Return what the maker of the scene should know of its objects (`pure.bodies`); nothing without a .blend.
+
+    Args:
+        python: a command that runs the Python code given as its next argument, in a Blender without a window.
+    Raises:
+        SpecError: the .blend cannot be the surroundings, and why.
+        JobError: the process failed.
+    """
+    if not spec.blend_file:
+        return []
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "spec.json"
+        scene_spec.save(spec, path)
+        command = [*python, code("look", ["--spec", str(path)])]
+        status, out, errors = _run(command, Path(folder))
+    last = (errors if status else out).strip().splitlines()[-1:] or [""]
+    if status == WRONG:
+        raise SpecError(last[0])
+    if status:
+        raise JobError(f"looking into {spec.blend_file.path} failed with status {status}: {last[0]}")
+    said = [line for line in out.splitlines() if line.startswith('{"notes"')]
+    return json.loads(said[-1])["notes"]
+
+
+def _run(command: list[str], folder: Path) -> tuple[int, str, str]:
+    """Status, output and errors. The process ends with its standard input, hence with this one; a folder for files."""
+    with (folder / "out").open("wb") as out, (folder / "errors").open("wb") as errors:
+        with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=out, stderr=errors) as process:
+            process.wait()
+    texts = ((folder / name).read_text(encoding="utf-8", errors="replace") for name in ("out", "errors"))
+    return process.returncode, *texts

@@ -19,7 +19,7 @@ from ..core.errors import DataFormatError
 from ..core.fields import VelocitySequence, trilinear
 from ..core.files import path_in
 from .io.cloud import GaussianCloud
-from .scores import Control, Controls, Scores, VelocityScore
+from .scores import Scores, TrivialBaselines, TrivialScore, VelocityScore
 
 NODE = np.sqrt(3.0)  # roots of He_3: -NODE, 0, NODE, with the weights 1/6, 2/3, 1/6
 NODES = NODE * (np.array(list(np.ndindex(3, 3, 3))) - 1.0)
@@ -31,7 +31,8 @@ CLAMP = 40.0  # lifetimes away from its moment a Gaussian is gone in any precisi
 
 @dataclass(frozen=True)
 class Frame:
-    """What moves at one time: weight (M,) m^3; velocity of the gas, truth (M, 3) m/s; inside (M,), share in the box."""
+    """Moving Gaussians at one time: weight (M,) m^3; velocity of the gas, truth (M, 3) m/s; inside (M,), share in the
+    box."""
 
     weight: np.ndarray
     velocity: np.ndarray
@@ -57,7 +58,8 @@ class Window:
 
     @classmethod
     def read(cls, truth: VelocitySequence, number: int, low: np.ndarray, high: np.ndarray) -> Window:
-        """The cells that points between two world corners (3,) are interpolated from. Raises: DataFormatError."""
+        """Return the cells that points between two world corners (3,) are interpolated from. Raises:
+        DataFormatError."""
         to_index, grid = np.linalg.inv(truth.index_to_world), truth.resolution
         corners = np.where(np.array(list(np.ndindex(2, 2, 2))), high, low) @ to_index[:3, :3].T + to_index[:3, 3]
         start = np.clip(np.floor(corners.min(0) - 0.5), 0, np.array(grid) - 1).astype(int)
@@ -65,11 +67,11 @@ class Window:
         return cls(truth.cells(number, *map(slice, start, stop)), start, grid, to_index)
 
     def coordinate(self, points: np.ndarray) -> np.ndarray:
-        """World points (N, 3) to continuous cell index: the centre of cell i has i + 0.5."""
+        """Convert world points (N, 3) to continuous cell index: the centre of cell i has i + 0.5."""
         return points @ self.world_to_index[:3, :3].T + self.world_to_index[:3, 3]
 
     def contains(self, coordinate: np.ndarray) -> np.ndarray:
-        """Whether continuous cell indices (N, 3) lie in the whole grid, (N,)."""
+        """Return whether continuous cell indices (N, 3) lie in the whole grid, (N,)."""
         return ((coordinate >= 0) & (coordinate <= self.grid)).all(1)
 
 
@@ -110,7 +112,7 @@ class Sums:
 
     @property
     def l2_constant(self) -> float | None:
-        """Of the best single vector, the mean true velocity: what it leaves is the truth's variance."""
+        """Return the L2 of the best single vector, the mean true velocity: what it leaves is the truth's variance."""
         if not self.truth2 > 0:
             return None
         explained = sum(part**2 for part in self.truth) / self.weight
@@ -118,13 +120,13 @@ class Sums:
 
 
 def frame_rate(dataset: Path) -> float:
-    """Frames per second of a dataset's clip; 24 for a single frame. Raises: DataFormatError: no dataset."""
+    """Return frames per second of a dataset's clip; 24 for a single frame. Raises: DataFormatError: no dataset."""
     time_s = DatasetDescription.read(dataset).time_s
     return float(1 / np.median(np.diff(time_s))) if len(time_s) > 1 else 24.0
 
 
 def true_velocity(dataset: Path, datum: Datum | None = None) -> VelocitySequence:
-    """The true velocity of a dataset folder, its places and times counted from a datum.
+    """Return the true velocity of a dataset folder, its places and times counted from a datum.
 
     Raises: DataFormatError: there is none, or no dataset.
     """
@@ -169,12 +171,14 @@ def _scores(sums: Sums, frames: int) -> Scores:
         frames_scored=frames,
         weight_outside=min(sums.outside / sums.weight, 1.0),
     )
-    controls = Controls(Control(None if still else 1.0), Control(sums.l2_constant))
-    return Scores(found, controls, ("the true velocity is zero wherever there are Gaussians",) if still else ())
+    trivial_baselines = TrivialBaselines(TrivialScore(None if still else 1.0), TrivialScore(sums.l2_constant))
+    return Scores(
+        found, trivial_baselines, ("the true velocity is zero wherever there are Gaussians",) if still else ()
+    )
 
 
 def _frames(truth: VelocitySequence, clip_s: np.ndarray, dataset: Path) -> list[int]:
-    """Numbers of the stored frames that lie in the clip, half a frame's time around it included."""
+    """Return numbers of the stored frames that lie in the clip, half a frame's time around it included."""
     slack = float(np.median(np.diff(clip_s))) / 2 if len(clip_s) > 1 else 0.0
     in_clip = (truth.times_s >= clip_s[0] - slack) & (truth.times_s <= clip_s[-1] + slack)
     if not in_clip.any():
@@ -186,7 +190,8 @@ def _frames(truth: VelocitySequence, clip_s: np.ndarray, dataset: Path) -> list[
 
 
 def probe(cloud: GaussianCloud, truth: VelocitySequence, number: int) -> Frame:
-    """What lives and moves at a stored frame, with the expected true velocity under each. Raises: DataFormatError."""
+    """Return what lives and moves at a stored frame, with the expected true velocity under each. Raises:
+    DataFormatError."""
     dt = np.where(cloud.dynamic, truth.times_s[number] - cloud.t_mu, 0.0)
     position = (cloud.position + dt[:, None] * cloud.velocity).astype(np.float32).astype(float)
     window = np.exp(-0.5 * np.clip(dt / cloud.t_sigma, -CLAMP, CLAMP) ** 2)
@@ -199,7 +204,8 @@ def probe(cloud: GaussianCloud, truth: VelocitySequence, number: int) -> Frame:
 
 
 def _not_negligible(weight: np.ndarray, power: np.ndarray) -> np.ndarray:
-    """Rows with weight; the others together hold less than CULL_SHARE of `weight` and of `power`, both (N,) >= 0."""
+    """Return rows with weight; the others together hold less than CULL_SHARE of `weight` and of `power`, both (N,) >=
+    0."""
     living = max(int(np.count_nonzero(weight)), 1)
     heavy = weight >= CULL_SHARE * weight.sum() / living
     strong = power > CULL_SHARE * power.sum() / living
@@ -235,7 +241,7 @@ def expected_velocity(
 
 
 def rotation_matrices(quaternion: np.ndarray) -> np.ndarray:
-    """(M, 4) unit quaternions wxyz to (M, 3, 3) float64."""
+    """Convert (M, 4) unit quaternions wxyz to (M, 3, 3) float64."""
     w, x, y, z = quaternion.astype(float).T
     rows = (
         (1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)),

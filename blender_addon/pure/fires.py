@@ -1,4 +1,4 @@
-"""What burns in a scene, and in which box: a fire that we simulate, or the grids of any other solver.
+"""Fires of a scene, and their boxes: a fire that we simulate, or the grids of any other solver.
 
 `SceneSpec` asks both kinds the same: ``check(domain, effects)``, ``box(domain, timeline)``, ``bake_steps(timeline)``,
 ``burner``, ``dims``, ``title``.
@@ -51,7 +51,7 @@ class Domain:
 
 @dataclass(frozen=True)
 class Burner:
-    """What surroundings draw under a flame."""
+    """The burner that surroundings draw under a flame."""
 
     position: Vector
     """Centre of the emitter, world metres."""
@@ -60,7 +60,7 @@ class Burner:
     half_height: float
     """From the centre to where the flame begins, metres."""
     name: str = "burner"
-    """What messages call it."""
+    """Its name in messages."""
 
     @property
     def bottom(self) -> float:
@@ -124,7 +124,7 @@ class Fire:
 
     @cached_property
     def sheet(self) -> Sheet:
-        """What the flame's light looks up, unless it is that of the reaction."""
+        """Return what the flame's light looks up, unless it is that of the reaction."""
         return sheet(FUELS[self.fuel], 2 * self.radius, self.intensity, thin=self.light == "sheets")
 
     @property
@@ -134,7 +134,7 @@ class Fire:
 
     @property
     def burner(self) -> Burner:
-        """What surroundings draw under the flame."""
+        """Return what surroundings draw under the flame."""
         return Burner(self.position, self.radius, self.half_size[2])
 
     def bake_steps(self, timeline: Timeline) -> int:
@@ -143,7 +143,7 @@ class Fire:
 
     @property
     def title(self) -> str:
-        """What burns, for people."""
+        """Return what burns, for people."""
         return self.fuel.replace("_", " ")
 
 
@@ -205,7 +205,7 @@ class GridFire:
 
     @property
     def burner(self) -> Burner | None:
-        """What surroundings draw under the flame: a round one that reaches around all that the solver tells of.
+        """Return what surroundings draw under the flame: a round one that reaches around all that the solver tells of.
 
         None where the grids are not at hand, as in a dataset that was copied. Raises SpecError: see `store`.
         """
@@ -226,5 +226,5 @@ class GridFire:
 
     @property
     def title(self) -> str:
-        """What burns, for people."""
+        """Return what burns, for people."""
         return f"grids of {self.grids}"

@@ -47,12 +47,12 @@ class Layout:
 
     @property
     def local_spec(self) -> Path:
-        """The spec with the places of its files on this machine, which is nobody else's business."""
+        """The spec with the places of its files on this machine, which are private."""
         return self.hidden / "spec.json"
 
     @property
     def inputs(self) -> Path:
-        """What the spec's files were when the folder was claimed."""
+        """Return what the spec's files were when the folder was claimed."""
         return self.hidden / "inputs.json"
 
     @property
@@ -104,19 +104,19 @@ class Layout:
         return self.bake / "data" / f"vel_{blender_frame:04d}.uni"
 
     def step_grids(self, blender_frame: int) -> Path:
-        """What Cycles renders of a fire of grids in a step."""
+        """Return what Cycles renders of a fire of grids in a step."""
         return self.bake / f"{blender_frame:06d}.vdb"
 
     def is_baked(self, blender_frame: int) -> bool:
-        """Whether a frame's cache is complete, also while the bake goes on: the next step is then there too."""
+        """Return whether a frame's cache is complete, also while the bake goes on: the next step is then there too."""
         return self.bake_marker.is_file() or self.cached_velocity(blender_frame + 1).is_file()
 
     def pictures(self) -> int:
-        """How many pictures are finished: their EXR is written last."""
+        """Return how many pictures are finished: their EXR is written last."""
         return sum(1 for _ in self.root.glob("cameras/*/exr/[0-9]*.exr"))
 
     def plates(self, cameras: list[str]) -> int:
-        """How many of the cameras' plates are finished."""
+        """Return how many of the cameras' plates are finished."""
         return sum(self.static_exr(name).is_file() for name in cameras)
 
     def log(self, stage: str) -> Path:
@@ -124,7 +124,7 @@ class Layout:
 
     @property
     def job_log(self) -> Path:
-        """What a job has done, stage by stage, for people."""
+        """Return what a job has done, stage by stage, for people."""
         return self.hidden / "job.log"
 
     def claim(self, spec: SceneSpec) -> None:
@@ -152,7 +152,8 @@ class Layout:
             raise SpecError(f"{self.root} is not empty and holds no spec.json; choose a new output folder")
 
     def _holds_nothing(self) -> bool:
-        """Whether the folder is empty, but for the lock of a run that was stopped before it claimed the folder."""
+        """Return whether the folder is empty, but for the lock of a run that was stopped before it claimed the
+        folder."""
         inside = list(self.root.iterdir())
         if inside == [self.hidden] and self.hidden.is_dir():
             inside = [path for path in self.hidden.iterdir() if path.name != ".lock"]
@@ -174,7 +175,7 @@ class Layout:
                 raise SpecError(f"{self.root} was made from {', '.join(moved)}, which has changed since; {way_out}")
 
     def _stamps(self, spec: SceneSpec) -> dict[str, list[int] | None]:
-        """Size and time of change of the spec's files by name; those in this folder are its own."""
+        """Return size and time of change of the spec's files by name; those in this folder are its own."""
         outside = [path for path in spec.files() if not path.is_relative_to(self.root.resolve())]
         return {
             path.name: [path.stat().st_size, path.stat().st_mtime_ns] if path.exists() else None for path in outside
@@ -186,7 +187,7 @@ class Layout:
         )
 
     def uncompressed(self, camera: str, frame: int) -> Path:
-        """The display picture before a codec, where the spec asks for one."""
+        """Return the display picture before a codec, where the spec asks for one."""
         return self.hidden / "uncompressed" / camera / f"{frame:06d}.png"
 
     def video(self, camera: str) -> Path:
@@ -205,11 +206,11 @@ class Layout:
         return self.root / self.STATIC.format(camera=camera)
 
     def static_exr(self, camera: str) -> Path:
-        """The linear form of the plate, with its depth."""
+        """Return the linear form of the plate, with its depth."""
         return self.static(camera).with_suffix(".exr")
 
     def board_mask(self, camera: str) -> Path:
-        """Where a sync board is in the pictures, if the spec has one."""
+        """Return where a sync board is in the pictures, if the spec has one."""
         return self.root / self.BOARD_MASK.format(camera=camera)
 
     def patterns(self, camera: str, with_flow: bool = False, with_board: bool = False) -> dict[str, str]:
@@ -220,7 +221,8 @@ class Layout:
 
 
 def leaving(layout: Layout) -> list[str]:
-    """What a finished bake says of a flame that reaches the domain's sides, where it is cut off; nothing of others."""
+    """Return what a finished bake says of a flame that reaches the domain's sides, where it is cut off; nothing of
+    others."""
     if not layout.bake_marker.is_file():
         return []
     cut = read_json(layout.bake_marker).get("cut_off", {})

@@ -27,11 +27,11 @@ MASK_MARGIN, MASK_RAMP = 0.25, 0.35  # around the board, as `gof capture annotat
 SAMPLES = 4  # points along each side of a pixel
 
 BEHIND, BOARD, PAPER, LAMPS = 0, 1, 2, 3
-"""What a point shows: the scene behind the board, the dark board, a light cell of the marker; from 3 on, output - 3."""
+"""A point shows: the scene behind the board, the dark board, a light cell of the marker; from 3 on, output - 3."""
 
 
 def lit(tick: np.ndarray) -> np.ndarray:
-    """(N, 21) bool: outputs that are lit in ticks (N,) int; the counter wraps, also below tick 0."""
+    """Return (N, 21) bool: outputs that are lit in ticks (N,) int; the counter wraps, also below tick 0."""
     count, phase = np.divmod(np.asarray(tick)[:, None], TICKS_PER_PERIOD)
     count %= 1 << GRAY_BITS
     strips = phase // TICKS_PER_SLOT == np.arange(STRIPS)
@@ -41,7 +41,8 @@ def lit(tick: np.ndarray) -> np.ndarray:
 
 
 def lit_share(start: np.ndarray, length: float, tick: float) -> np.ndarray:
-    """(21, N): for what share of the exposures [start, start + length] each output is lit; start (N,), all in s."""
+    """Return (21, N): for what share of the exposures [start, start + length] each output is lit; start (N,), all in
+    s."""
     ticks = np.arange(np.floor(start.min() / tick), np.floor((start.max() + length) / tick) + 1).astype(np.int64)
     begin, end = np.maximum(start[:, None], ticks * tick), np.minimum(start[:, None] + length, (ticks + 1) * tick)
     return (np.clip(end - begin, 0, None) / length @ lit(ticks)).T
@@ -62,7 +63,7 @@ class Footprint:
     mask: np.ndarray
 
     def over(self, light: np.ndarray, shine: np.ndarray, line: np.ndarray) -> np.ndarray:
-        """The picture (H, W, 3) with the board over it.
+        """Return the picture (H, W, 3) with the board over it.
 
         Args:
             shine: (24, L) light of all that a point may show, 0 for BEHIND, in each of the sensor's lines.
@@ -75,7 +76,7 @@ class Footprint:
 
 
 def footprint(to_image: np.ndarray, width: int, height: int) -> Footprint:
-    """Where the board is in a picture.
+    """Return where the board is in a picture.
 
     Args:
         to_image: (3, 3), takes (x, y, 1) on the board to pixels times their depth (> 0).
@@ -108,7 +109,7 @@ def _places(to_board: np.ndarray, points: np.ndarray) -> tuple[np.ndarray, np.nd
 
 
 def _distance(x: np.ndarray, y: np.ndarray) -> np.ndarray:
-    """Distance to the board, 0 on it."""
+    """Return distance to the board, 0 on it."""
     boxes = [
         np.hypot(np.maximum(np.maximum(x0 - x, x - x1), 0), np.maximum(np.maximum(y0 - y, y - y1), 0))
         for x0, y0, x1, y1 in BOXES

@@ -27,7 +27,7 @@ class Span:
 
 
 def seconds(cloud: GaussianCloud) -> tuple[float, float] | None:
-    """First and last second of what was filmed, on the recording's clock; None for a still.
+    """Return first and last second of what was filmed, on the recording's clock; None for a still.
 
     A file does not say it: it is when the Gaussians are brightest, or of a sequence of files when they are shown.
     """
@@ -41,7 +41,7 @@ def seconds(cloud: GaussianCloud) -> tuple[float, float] | None:
 
 
 def span(clip_s: tuple[float, float], start_frame: float, fps: float, time_scale: float = 1.0) -> Span | None:
-    """The scene's frames of a clip; None where time stands still, or Blender does not count so far."""
+    """Return the scene's frames of a clip; None where time stands still, or Blender does not count so far."""
     if time_scale == 0:
         return None
     ends = [start_frame + second * fps / time_scale for second in clip_s]
@@ -51,7 +51,8 @@ def span(clip_s: tuple[float, float], start_frame: float, fps: float, time_scale
 
 
 def rate(clip_s: tuple[float, float], fps: float, time_scale: float = 1.0) -> float:
-    """Frames per second at which a clip can be watched: the scene's own, or the lowest usual one of enough frames."""
+    """Return frames per second at which a clip can be watched: the scene's own, or the lowest usual one of enough
+    frames."""
     length_s = (clip_s[1] - clip_s[0]) / abs(time_scale or 1.0)
     if length_s * fps >= WATCHABLE:
         return fps

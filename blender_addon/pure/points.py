@@ -48,7 +48,7 @@ class Points:
 
 
 def at(cloud: GaussianCloud, time_s: float, least: float = FAINT, time_scale: float = 1.0) -> Points:
-    """The Gaussians of which at least an opacity `least` is left at a time.
+    """Return the Gaussians of which at least an opacity `least` is left at a time.
 
     Args:
         time_scale: how many seconds of the recording pass in one of whoever looks; velocities are on that clock.

@@ -29,7 +29,7 @@ PRESETS: dict[str, dict[str, dict]] = {
         "render": {"percentage": 100, "samples": 32, "plate_samples": 256},
     },
 }
-"""What each preset changes in a spec: cost, never content. ``toy`` is for tests."""
+"""Changes of each preset to a spec: cost, never content. ``toy`` is for tests."""
 
 FORMER: dict[str, dict[str, dict]] = {
     "draft": {

@@ -88,7 +88,7 @@ class Evaluation:
         return f"frame {self._said.done} of {self._said.total}, {left:.0f} s left"
 
     def poll(self) -> bool:
-        """Whether it still runs. Raises: EvaluationError when it failed."""
+        """Return whether it still runs. Raises: EvaluationError when it failed."""
         status = self._process.poll()
         if status is None:
             return True

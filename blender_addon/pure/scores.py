@@ -1,4 +1,4 @@
-"""What the panel Score shows: of the scores that `gof evaluate --json` writes, or those of our own `dve`."""
+"""Scores as the panel Score shows them: those that `gof evaluate --json` writes, or those of our own `dve`."""
 
 from __future__ import annotations
 
@@ -11,18 +11,18 @@ from ..core.records import read_record
 
 
 @dataclass(frozen=True)
-class Control:
+class TrivialScore:
     """The score of velocities that anybody could guess."""
 
     l2: float | None
 
 
 @dataclass(frozen=True)
-class Controls:
+class TrivialBaselines:
     """zero: no motion at all; constant: one vector for everything, the mean true velocity."""
 
-    zero: Control | None = None
-    constant: Control | None = None
+    zero: TrivialScore | None = None
+    constant: TrivialScore | None = None
 
 
 @dataclass(frozen=True)
@@ -48,9 +48,10 @@ class Scores:
 
     SCHEMA: ClassVar[str] = "gof-scores"
     VERSION: ClassVar[int] = 1
+    FORMER: ClassVar[dict[str, str]] = {"controls": "trivial_baselines"}  # of 0.2; goes with the next version
 
     dve: VelocityScore | None = None
-    controls: Controls = field(default_factory=Controls)
+    trivial_baselines: TrivialBaselines = field(default_factory=TrivialBaselines)
     warnings: tuple[str, ...] = ()
 
     @classmethod
@@ -62,7 +63,7 @@ class Scores:
             raise DataFormatError(f"{error}; was it written by gof of another version?") from None
 
     def rows(self) -> list[tuple[str, str]]:
-        """Names and values for people."""
+        """Return names and values for people."""
         if self.dve is None:
             return [("DVE", "; ".join(self.warnings) or "undefined")]
         rows = [
@@ -70,10 +71,10 @@ class Scores:
             ("DVE CosSim", _number(self.dve.cos_sim)),
             ("Frames", str(self.dve.frames_scored)),
         ]
-        if self.controls.zero:
-            rows.append(("L2 of no motion", _number(self.controls.zero.l2)))
-        if self.controls.constant:
-            rows.append(("L2 of one vector", _number(self.controls.constant.l2)))
+        if self.trivial_baselines.zero:
+            rows.append(("L2 of no motion", _number(self.trivial_baselines.zero.l2)))
+        if self.trivial_baselines.constant:
+            rows.append(("L2 of one vector", _number(self.trivial_baselines.constant.l2)))
         return [*rows, ("Weight outside", f"{100 * self.dve.weight_outside:.0f} %")]
 
 

@@ -28,7 +28,7 @@ HOT_M2_S, LAMINAR_RE = 2e-4, 500.0
 
 @dataclass(frozen=True)
 class Constants:
-    """What the solver is told.
+    """The constants of the solver.
 
     Attributes:
         gravity: factor on gravity, hence on the lift.
@@ -45,12 +45,12 @@ class Constants:
 
 
 def unscaled(fuel: Fuel) -> Constants:
-    """The same at every size."""
+    """Return the same at every size."""
     return Constants(1.0, fuel.burning_rate, fuel.amount)
 
 
 def scaled(fuel: Fuel, diameter_m: float, longest_m: float) -> Constants:
-    """Those of a burner of a width in a domain of a longest side, both > 0."""
+    """Return those of a burner of a width in a domain of a longest side, both > 0."""
     rate = fuel.burning_rate * (REFERENCE_D_M / diameter_m) ** 0.4
     speed = 6.8 * diameter_m**0.5  # McCaffrey's, at the height of a diameter
     reynolds = speed * diameter_m / HOT_M2_S

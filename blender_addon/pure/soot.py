@@ -40,7 +40,7 @@ import numpy as np
 from .fuels import Fuel
 
 WAVELENGTHS_UM = (0.60, 0.54, 0.46)
-"""Of a camera's red, green and blue: Planck's law is taken at these."""
+"""Wavelengths of a camera's red, green and blue: Planck's law is taken at these."""
 C2_UM_K = 14388.0
 WHITE_K = 7000.0
 """A black body of this temperature is white to the camera: daylight under a blue sky."""
@@ -52,7 +52,7 @@ REFERENCE_RADIANCE = 14.0
 """Linear scene radiance of red of a black body of REFERENCE_K: Filmic shows it nearly white. In truth a flame is
 thousands of times brighter than a room, which no picture shows."""
 SHEET_AT, SHEET_WITHIN, SHEET_DENSITY = 0.32, (0.22, 0.44), 4.0
-"""Of thin sheets: the reaction where most soot is, between which values there is any, and how much denser it is."""
+"""Thin sheets: the reaction where most soot is, between which values there is any, and how much denser it is."""
 COOLEST = 0.72
 """Temperature of the last soot, at the tips and edges, over that of the hottest: it cools by its own radiation."""
 BLUE = (0.10, 0.32, 1.0)
@@ -64,7 +64,8 @@ STOPS = 32  # of the tables: as many as a colour ramp in Blender holds
 
 
 def black_body(kelvin: np.ndarray) -> np.ndarray:
-    """(..., 3) linear scene radiance of black bodies of (...) > 0 K; Wien's law, 0.1 % from Planck's below 2600 K."""
+    """Return (..., 3) linear scene radiance of black bodies of (...) > 0 K; Wien's law, 0.1 % from Planck's below 2600
+    K."""
     rate = C2_UM_K / np.array(WAVELENGTHS_UM)
     white = np.exp(rate * (1 / WHITE_K - 1 / REFERENCE_K))  # of REFERENCE_K, where daylight is (1, 1, 1)
     return REFERENCE_RADIANCE * white / white[0] * np.exp(rate * (1 / REFERENCE_K - 1 / np.asarray(kelvin)[..., None]))
@@ -72,7 +73,7 @@ def black_body(kelvin: np.ndarray) -> np.ndarray:
 
 @dataclass(frozen=True)
 class Sheet:
-    """What a flame's material looks up by the value of ``flame``, at STOPS even values from 0 to 1.
+    """The table that a flame's material looks up by the value of ``flame``, at STOPS even values from 0 to 1.
 
     Attributes:
         emission: (STOPS, 3) linear scene radiance per metre where there is soot.
@@ -87,7 +88,7 @@ class Sheet:
     onset_m: float
 
     def light(self, flame: np.ndarray, height_m: np.ndarray) -> np.ndarray:
-        """Mean over the colours of what a metre emits.
+        """Return mean over the colours of what a metre emits.
 
         Args:
             flame: of the solver.   height_m: above the burner; broadcasts with flame.
@@ -98,7 +99,7 @@ class Sheet:
 
 
 def sheet(fuel: Fuel, diameter_m: float, intensity: float = 1.0, thin: bool = False) -> Sheet:
-    """The tables of a fuel on a burner of this width, > 0.
+    """Return the tables of a fuel on a burner of this width, > 0.
 
     Args:
         intensity: factor on all light.
@@ -122,8 +123,8 @@ def sheet(fuel: Fuel, diameter_m: float, intensity: float = 1.0, thin: bool = Fa
 
 
 def within_cells(flame: np.ndarray) -> np.ndarray:
-    """(8, X, Y, Z) of a grid (X, Y, Z): its cubic B-spline at eight places in each cell, a quarter of a cell from the
-    middle along each axis. Beyond the grid it is as at its sides."""
+    """Return (8, X, Y, Z) of a grid (X, Y, Z): its cubic B-spline at eight places in each cell, a quarter of a cell
+    from the middle along each axis. Beyond the grid it is as at its sides."""
     found = np.asarray(flame, float)[None]
     for axis in (1, 2, 3):
         padded = np.concatenate([found.take([0, 0], axis), found, found.take([-1, -1], axis)], axis)
@@ -136,12 +137,12 @@ def within_cells(flame: np.ndarray) -> np.ndarray:
 
 
 def _part(padded: np.ndarray, axis: int, start: int) -> np.ndarray:
-    """Of a grid with two more cells at both ends of an axis, the cells from `start` on, as many as it had."""
+    """Return, of a grid with two more cells at both ends of an axis, the cells from `start` on, as many as it had."""
     return padded.take(range(start, start + padded.shape[axis] - 4), axis)
 
 
 def soot_share(height_m: np.ndarray, onset_m: float) -> np.ndarray:
-    """How much of its soot the gas at a height above the burner has already, 0 to 1."""
+    """Return how much of its soot the gas at a height above the burner has already, 0 to 1."""
     return smoothstep(height_m, 0.0, onset_m) if onset_m > 0 else np.zeros_like(height_m, dtype=float)
 
 

@@ -25,7 +25,6 @@ from .fuels import FUELS, Fuel
 from .presets import FORMER, NEW_NAMES, PRESETS
 from .rig import AROUND, Rig
 from .similarity import Constants, scaled, unscaled
-from .spec_versions import from_version_1
 from .timeline import Timeline
 
 SCHEMA = "gof-scene"
@@ -101,7 +100,7 @@ class SceneSpec:
     domain: Domain | None = None
     """The box that we simulate; None for a fire of grids, which has its own. Left out: `Domain()`."""
     fire: GridFire | Fire = field(default_factory=Fire)
-    """What burns; in JSON an object with "grids" is a `GridFire`."""
+    """The fire; in JSON an object with "grids" is a `GridFire`."""
     cameras: Rig = field(default_factory=Rig)
     render: Render = field(default_factory=Render)
     background: Literal["studio", "workshop", "classroom", "cloister", "ground", "blend_file"] = "workshop"
@@ -110,7 +109,7 @@ class SceneSpec:
     effects: tuple[Any, ...] = ()
     """Settings objects of modules in ``pure/effects``; in JSON ``{"name": "wind", ...its settings}``."""
     ground_truth: tuple[Literal["grids", "flow", "vdb"], ...] = ()
-    """What to write beside the velocity: grids (flame, heat, density), flow (optical flow), vdb (OpenVDB per frame)."""
+    """Truth beside the velocity: grids (flame, heat, density), flow (optical flow), vdb (OpenVDB per frame)."""
     display: Display = field(default_factory=Display)
 
     def __post_init__(self):
@@ -151,12 +150,12 @@ class SceneSpec:
 
     @property
     def fuel(self) -> Fuel:
-        """Of a fire that we simulate."""
+        """Return the fuel of a fire that we simulate."""
         return FUELS[self.fire.fuel]
 
     @cached_property
     def solver(self) -> Constants:
-        """What the solver is told of a fire that we simulate."""
+        """Return the solver's constants of a fire that we simulate."""
         if self.fire.speeds == "solver":
             return unscaled(self.fuel)
         return scaled(self.fuel, 2 * self.fire.radius, max(self.domain.size))
@@ -186,7 +185,8 @@ class SceneSpec:
         return Timeline(self.clip, self.effects, len(self.cameras.names), self.picture_px[1], self.seed)
 
     def resolved(self, folder: Path) -> SceneSpec:
-        """This spec with the paths of its files absolute; relative ones count from the folder of the spec's file."""
+        """Return this spec with the paths of its files absolute; relative ones count from the folder of the spec's
+        file."""
         return self._with_paths(lambda path: (folder / path).resolve())
 
     def resolved_in(self, folder: Path) -> SceneSpec:
@@ -200,7 +200,7 @@ class SceneSpec:
         return dataclasses.replace(self, blend_file=dataclasses.replace(self.blend_file, path=path.as_posix()))
 
     def published_in(self, folder: Path) -> SceneSpec:
-        """This spec as a dataset in `folder` has it: without the places of the author's files.
+        """Return this spec as a dataset in `folder` has it: without the places of the author's files.
 
         The user's .blend is the dataset's own copy of its surroundings. Grids are relative where they share a folder
         with the dataset, else only their name is left.
@@ -212,17 +212,18 @@ class SceneSpec:
         return dataclasses.replace(self, blend_file=blend_file, fire=fire)
 
     def files(self) -> list[Path]:
-        """The files that say whether what the spec burns and stands in is still the same."""
+        """Return the files that say whether what the spec burns and stands in is still the same."""
         blend = [Path(self.blend_file.path)] if self.blend_file else []
         return blend + ([Path(self.fire.grids) / "fire.json"] if isinstance(self.fire, GridFire) else [])
 
     def relative_to(self, folder: Path) -> SceneSpec:
-        """This spec with the paths of its files relative where they lie in the folder: all can be moved together."""
+        """Return this spec with the paths of its files relative where they lie in the folder: all can be moved
+        together."""
         root = folder.resolve()
         return self._with_paths(lambda path: path.relative_to(root) if path.is_relative_to(root) else path)
 
     def _with_paths(self, moved: Callable[[Path], Path]) -> SceneSpec:
-        """This spec with the path of every file that it names, where it names one, mapped."""
+        """Return this spec with the path of every file that it names, where it names one, mapped."""
         changes: dict[str, Any] = {}
         if self.blend_file:
             changes["blend_file"] = dataclasses.replace(
@@ -233,7 +234,7 @@ class SceneSpec:
         return dataclasses.replace(self, **changes) if changes else self
 
     def to_dict(self) -> dict:
-        """The JSON form; ``from_dict(to_dict())`` gives an equal spec."""
+        """Return the JSON form; ``from_dict(to_dict())`` gives an equal spec."""
         data = {"schema": SCHEMA, "version": VERSION, **dataclasses.asdict(self)}
         for section, name, default in LATER_FIELDS:
             if data[section].get(name) == default:
@@ -262,12 +263,12 @@ class SceneSpec:
         return from_dict(cls, data, "")
 
     def differences(self, other: SceneSpec) -> list[str]:
-        """Names of the sections in which two specs differ."""
+        """Return names of the sections in which two specs differ."""
         mine, theirs = self.to_dict(), other.to_dict()
         return sorted(name for name in mine if mine[name] != theirs[name])
 
     def with_preset(self, preset: str) -> SceneSpec:
-        """This spec with the cost-related fields of a preset; a fire of grids keeps its cells.
+        """Return this spec with the cost-related fields of a preset; a fire of grids keeps its cells.
 
         Raises SpecError for an unknown name.
         """
@@ -310,3 +311,26 @@ def _effect_from_dict(item: Any) -> Any:
     name = settings.pop("name")
     require(name in effect_modules.names(), "effects", f"one of {effect_modules.names()}", name)
     return from_dict(effect_modules.module(name).Settings, settings, f"effects.{name}.")
+
+
+# ----------------------------------------------------------------
+# Scene specs of older versions in the words of today.
+
+VERSION_1_FIRE = {"light": "reaction", "speeds": "solver"}
+
+
+def from_version_1(data: dict) -> dict:
+    """Return a spec of version 1 in the words of today: its defaults were those of our first fires."""
+    fire = data.get("fire", {})
+    if isinstance(fire, dict) and "grids" not in fire:
+        data = data | {"fire": VERSION_1_FIRE | fire}
+    listed = data.get("effects", [])
+    if isinstance(listed, list):
+        data = data | {"effects": [_effect_from_version_1(item) for item in listed]}
+    return data
+
+
+def _effect_from_version_1(item: Any) -> Any:
+    if isinstance(item, dict) and item.get("name") == "wind":
+        return {"strength": 0.3, "unit": "field"} | item
+    return item

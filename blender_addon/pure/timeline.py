@@ -71,7 +71,7 @@ class Timeline:
         return range(min(self.earliest_seen, self.first_frame), self.last_frame + 1)
 
     def simulated_s(self, blender_frame: int) -> float:
-        """Simulated seconds from dataset frame 0 to a Blender frame."""
+        """Return simulated seconds from dataset frame 0 to a Blender frame."""
         return (blender_frame - self.first_frame) * self.solver_step_s
 
     @cached_property
@@ -81,7 +81,7 @@ class Timeline:
         return self.first_frame + max(last_seen, (self.clip.frames - 1) * self.steps_per_frame)
 
     def picture(self, camera: int, frame: int) -> Picture:
-        """What the effects in a camera are told of a picture; frame -1 is the plate."""
+        """Return what the effects in a camera are told of a picture; frame -1 is the plate."""
         return Picture(camera, frame, self.clip.fps, self.lines, self.seed)
 
     def timing(self, camera: int, frame: int) -> Timing:
@@ -90,7 +90,7 @@ class Timeline:
         return sum((effects.timing(settings, picture) for settings in self.effects), Timing())
 
     def weights(self, camera: int, frame: int) -> tuple[int, np.ndarray]:
-        """Of which solver steps a picture is made.
+        """Return the solver steps that a picture is made of.
 
         Returns:
             first: step of weights[0], counted from the frame's own step (which is 0; may be negative).

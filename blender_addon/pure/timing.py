@@ -41,12 +41,12 @@ class Picture:
     lines: int
     """Lines of the picture, which are rows of the sensor."""
     seed: int
-    """Of the spec: what is random in a camera depends on it, the camera and the frame alone."""
+    """Seed of the spec: what is random in a camera depends on it, the camera and the frame alone."""
 
 
 def step_weights(start: np.ndarray, length: float) -> tuple[int, np.ndarray]:
-    """Of which solver steps the light of exposures [start, start + length] is made: the integral of a function that is
-    linear between steps; for length 0 its value at start.
+    """Return the solver steps that make the light of exposures [start, start + length]: the integral of a function that
+    is linear between steps; for length 0 its value at start.
 
     Args:
         start: (L,) when each line's exposure begins, in steps.

@@ -41,7 +41,7 @@ def state_at(cloud: GaussianCloud, time_s: float) -> tuple[np.ndarray, np.ndarra
 
 
 def box_of(cloud: GaussianCloud, times_s: np.ndarray, voxel_m: float) -> tuple[np.ndarray, tuple[int, int, int]]:
-    """The box around all that is seen at some times: its lowest corner, a multiple of the voxel, and its voxels.
+    """Return the box around all that is seen at some times: its lowest corner, a multiple of the voxel, and its voxels.
 
     Raises VoxelError: nothing is seen, or more voxels than MOST_VOXELS.
     """
@@ -107,7 +107,7 @@ def grids_at(
 
 
 def index_to_world(low: np.ndarray, voxel_m: float) -> np.ndarray:
-    """(4, 4) continuous voxel index (voxel i spans [i, i + 1]) to the recording's world, metres."""
+    """Return (4, 4) continuous voxel index (voxel i spans [i, i + 1]) to the recording's world, metres."""
     matrix = np.diag([voxel_m, voxel_m, voxel_m, 1.0])
     matrix[:3, 3] = low
     return matrix

@@ -39,7 +39,7 @@ def _as_points(thing: bpy.types.Object) -> Iterator[None]:
 
 @contextmanager
 def _vertices_of(thing: bpy.types.Object) -> Iterator[bpy.types.Object]:
-    """A mesh object with a vertex where the cloud shows a point."""
+    """Provide a mesh object with a vertex where the cloud shows a point."""
     tree = bpy.data.node_groups.new("Points of a cloud", "GeometryNodeTree")
     compat.add_socket(tree, "Geometry", "NodeSocketGeometry")
     compat.add_socket(tree, "Geometry", "NodeSocketGeometry", output=True)

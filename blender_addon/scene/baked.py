@@ -15,7 +15,7 @@ REMEDY = (
 
 
 def missing(scene: bpy.types.Scene) -> list[str]:
-    """A line for each fire of a scene that cannot be seen, with what to do."""
+    """Return a line for each fire of a scene that cannot be seen, with what to do."""
     return [
         f"{thing.name}: its flame is not to be seen, for {path} is not there; {REMEDY}"
         for thing in scene.objects
@@ -36,7 +36,7 @@ def unwatch() -> None:
 
 
 def _needs(thing: bpy.types.Object) -> list[Path]:
-    """What an object's flame is read from, where a dataset was made of it."""
+    """Return what an object's flame is read from, where a dataset was made of it."""
     if thing.type == "VOLUME":
         files = [thing.data.filepath]
     else:

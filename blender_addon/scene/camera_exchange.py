@@ -24,12 +24,12 @@ SAME = 1e-4  # relative; lenses that differ by less are the same
 
 
 def chosen(scene: bpy.types.Scene) -> list[bpy.types.Object]:
-    """The rig's cameras; without a rig all of the scene's."""
+    """Return the rig's cameras; without a rig all of the scene's."""
     return place.cameras(scene) or [thing for thing in scene.objects if thing.type == "CAMERA"]
 
 
 def describe(camera: bpy.types.Object, scene: bpy.types.Scene, to_file: Matrix) -> CameraEntry:
-    """What a camera sees at the current frame, by the very matrix that Blender projects with.
+    """Return what a camera sees at the current frame, by the very matrix that Blender projects with.
 
     Args:
         to_file: from the scene's world to the file's.
@@ -59,7 +59,7 @@ def describe(camera: bpy.types.Object, scene: bpy.types.Scene, to_file: Matrix) 
 
 
 def describe_all(cameras: list[bpy.types.Object], scene: bpy.types.Scene, to_file: Matrix) -> tuple[CameraEntry, ...]:
-    """Each camera's entry, under a name of its own: two may be alike without what no file name has.
+    """Return each camera's entry, under a name of its own: two may be alike without what no file name has.
 
     Raises SpecError: see `describe`.
     """
@@ -105,7 +105,7 @@ def add(
 
 
 def as_rig(planned: Rig, entries: tuple[CameraEntry, ...], to_place: Matrix) -> Rig:
-    """The entries as a rig of cameras that were placed one by one, those for evaluation last.
+    """Return the entries as a rig of cameras that were placed one by one, those for evaluation last.
 
     Args:
         planned: whose other settings are kept.     to_place: from the file's world to the fire's.
@@ -150,7 +150,7 @@ def world_of_files(scene: bpy.types.Scene, from_fire: bool) -> Matrix:
 
 
 def place_rig(spec: SceneSpec, scene: bpy.types.Scene) -> list[bpy.types.Object]:
-    """The spec's cameras around the scene's fire, instead of those before."""
+    """Return the spec's cameras around the scene's fire, instead of those before."""
     return place.add_cameras(spec, scene, place.find(scene, place.PLACE))
 
 

@@ -50,7 +50,7 @@ def scene(description: DatasetDescription, folder: Path) -> None:
 
 
 def frames_per_second(description: DatasetDescription) -> float:
-    """The dataset's usual rate; 25 for a single frame."""
+    """Return the dataset's usual rate; 25 for a single frame."""
     return 1 / float(np.median(np.diff(description.time_s))) if len(description.time_s) > 1 else 25.0
 
 
@@ -62,7 +62,7 @@ def moment(description: DatasetDescription, time_s: float) -> float:
 def add_camera(
     entry: CameraEntry, folder: Path, collection: bpy.types.Collection, metres_per_unit: float = 1.0
 ) -> bpy.types.Object:
-    """A camera with the entry's pose and lens, and its plate behind what it sees.
+    """Return a camera with the entry's pose and lens, and its plate behind what it sees.
 
     Its pose is in metres; how far it sees is in the scene's units, as Blender takes it.
     Raises DataFormatError: its plate is not in the folder, or no picture.
@@ -88,7 +88,7 @@ def add_camera(
 
 
 def matrix_of(entry: CameraEntry) -> Matrix:
-    """Camera to world in Blender's axes."""
+    """Return camera to world in Blender's axes."""
     return Matrix((np.linalg.inv(np.array(entry.world_to_camera)) @ np.diag([1.0, -1.0, -1.0, 1.0])).tolist())
 
 
@@ -110,7 +110,7 @@ def look_through(entry: CameraEntry) -> None:
 
 
 def _plate(entry: CameraEntry, folder: Path) -> bpy.types.Image | None:
-    """The camera's picture without fire, packed into the .blend."""
+    """Return the camera's picture without fire, packed into the .blend."""
     if entry.static is None:
         return None
     file = path_in(folder, entry.static)

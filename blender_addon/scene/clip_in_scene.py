@@ -19,7 +19,7 @@ def keep(thing: bpy.types.Object, cloud: GaussianCloud) -> None:
 
 
 def is_new(scene: bpy.types.Scene) -> bool:
-    """Whether nobody has set the scene's frame range or rate yet."""
+    """Return whether the scene's frame range and rate are still Blender's own."""
     return (scene.frame_start, scene.frame_end, scene.render.fps, scene.render.fps_base) == NEW
 
 

@@ -11,27 +11,28 @@ LINEAR_COLOR_SPACES = ("Linear Rec.709", "Linear")  # the second up to 3.6
 
 
 def has_function(kind: str, name: str) -> bool:
-    """Whether things of a type, such as "PointCloud", have a function. Their class itself never shows Blender's own."""
+    """Return whether things of a type, such as "PointCloud", have a function. Their class itself never shows Blender's
+    own."""
     rna = getattr(getattr(bpy.types, kind, None), "bl_rna", None)
     return rna is not None and name in rna.functions
 
 
 def add_nodes(block: bpy.types.Material | bpy.types.World) -> bpy.types.NodeTree:
-    """The node tree of a material or a world that was just made."""
+    """Return the node tree of a material or a world that was just made."""
     if block.node_tree is None:  # from Blender 5 on each is made with one, and `use_nodes` is to go
         block.use_nodes = True
     return block.node_tree
 
 
 def add_socket(tree: bpy.types.NodeTree, name: str, kind: str, output: bool = False) -> bpy.types.bpy_struct:
-    """A new input (or output) of a node group; `kind` such as "NodeSocketFloat"."""
+    """Return a new input (or output) of a node group; `kind` such as "NodeSocketFloat"."""
     if hasattr(tree, "interface"):
         return tree.interface.new_socket(name, in_out="OUTPUT" if output else "INPUT", socket_type=kind)
     return (tree.outputs if output else tree.inputs).new(kind, name)
 
 
 def input_sockets(tree: bpy.types.NodeTree) -> dict[str, bpy.types.bpy_struct]:
-    """Inputs of a node group by name; for their values in a modifier see `modifier_value`."""
+    """Return inputs of a node group by name; for their values in a modifier see `modifier_value`."""
     if hasattr(tree, "interface"):
         return {
             item.name: item
@@ -42,14 +43,15 @@ def input_sockets(tree: bpy.types.NodeTree) -> dict[str, bpy.types.bpy_struct]:
 
 
 def modifier_value(modifier: bpy.types.Modifier, identifier: str) -> tuple[bpy.types.bpy_struct, str]:
-    """Where a modifier of nodes keeps the value of an input: the owner, and the property's name as layouts take it."""
+    """Return where a modifier of nodes keeps the value of an input: the owner, and the property's name as layouts take
+    it."""
     if hasattr(modifier, "properties"):  # 5.2 and later
         return getattr(modifier.properties.inputs, identifier), "value"
     return modifier, f'["{identifier}"]'
 
 
 def modifier_path(modifier: bpy.types.Modifier, identifier: str) -> str:
-    """Path from the object to that value, for drivers and keyframes."""
+    """Return path from the object to that value, for drivers and keyframes."""
     path = f'modifiers["{modifier.name}"]'
     if hasattr(modifier, "properties"):
         return f"{path}.properties.inputs.{identifier}.value"
@@ -57,7 +59,7 @@ def modifier_path(modifier: bpy.types.Modifier, identifier: str) -> str:
 
 
 def scene_variable(driver: bpy.types.Driver, name: str, path: str, scene: bpy.types.Scene) -> None:
-    """A driver variable that reads `path` of the scene.
+    """Add a driver variable that reads `path` of the scene.
 
     The scene in use where Blender has that, so that the object can be appended elsewhere without pulling its first
     scene along; else this very scene.
@@ -74,7 +76,7 @@ def scene_variable(driver: bpy.types.Driver, name: str, path: str, scene: bpy.ty
 
 
 def set_linear(image: bpy.types.Image) -> None:
-    """The image's pixels are scene-linear light."""
+    """Declare the image's pixels scene-linear light."""
     known = image.colorspace_settings.bl_rna.properties["name"].enum_items
     image.colorspace_settings.name = next(name for name in LINEAR_COLOR_SPACES if name in known)
 
@@ -99,7 +101,7 @@ def splat_type() -> tuple[str, str] | None:
 
 
 def align_node(tree: bpy.types.NodeTree) -> bpy.types.Node:
-    """The node with inputs Factor and Vector that turns the z axis towards a vector, output Rotation."""
+    """Return the node with inputs Factor and Vector that turns the z axis towards a vector, output Rotation."""
     kind = "FunctionNodeAlignRotationToVector"
     node = tree.nodes.new(kind if hasattr(bpy.types, kind) else "FunctionNodeAlignEulerToVector")
     node.axis = "Z"

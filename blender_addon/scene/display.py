@@ -94,7 +94,8 @@ class _Picture:
     depth: np.ndarray  # (M,) optical depth of each, spread over a pixel
 
     def blend(self, color: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Mean (P, 3) of colours (N, 3) in each of P pixels, coverage (P, 1), and each Gaussian's share (M,) of it."""
+        """Return mean (P, 3) of colours (N, 3) in each of P pixels, coverage (P, 1), and each Gaussian's share (M,) of
+        it."""
         total = np.bincount(self.owner, self.depth)
         sums = np.column_stack(
             [np.bincount(self.owner, self.depth * color[self.rows, channel]) for channel in range(3)]
@@ -106,7 +107,7 @@ class _Picture:
 
 
 def _pictures(cloud: GaussianCloud) -> Iterator[_Picture]:
-    """The cloud at times one lifetime apart, in horizontal views all around."""
+    """Yield the cloud at times one lifetime apart, in horizontal views all around."""
     spread = cloud.scale.astype(np.float64).prod(1) ** (2 / 3)  # product of the two standard deviations seen in a view
     pixel = 2 * float(np.median(np.sqrt(spread)))
     first, last = _seen(cloud)
@@ -132,7 +133,8 @@ def _pictures(cloud: GaussianCloud) -> Iterator[_Picture]:
 
 
 def _seen(cloud: GaussianCloud) -> tuple[np.ndarray, np.ndarray]:
-    """First and last time (N,), (N,) at which each Gaussian counts in a picture; infinite where it always does."""
+    """Return first and last time (N,), (N,) at which each Gaussian counts in a picture; infinite where it always
+    does."""
     if cloud.begin is not None:
         return cloud.begin, cloud.end
     lifetimes = np.sqrt(2 * np.log(np.maximum(cloud.opacity / LEAST_OPACITY, 1)))
@@ -141,7 +143,7 @@ def _seen(cloud: GaussianCloud) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _pixel_numbers(across: np.ndarray, up: np.ndarray) -> np.ndarray:
-    """Which pixel of a picture each of N places falls into, (N,) from 0 on; coordinates in pixels."""
+    """Return which pixel of a picture each of N places falls into, (N,) from 0 on; coordinates in pixels."""
     column, row = np.floor(across).astype(np.int64), np.floor(up).astype(np.int64)
     column -= column.min()
     row -= row.min()

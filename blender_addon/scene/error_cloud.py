@@ -58,13 +58,13 @@ def positions(mesh: bpy.types.Mesh) -> np.ndarray:
 
 
 def seen_by(view: bpy.types.Object) -> bpy.types.Object | None:
-    """The cloud that a view shows; None where it is gone."""
+    """Return the cloud that a view shows; None where it is gone."""
     of = view[VIEW_OF]
     return bpy.data.objects.get(of) if isinstance(of, str) else of  # older versions of the add-on kept its name
 
 
 def show(thing: bpy.types.Object) -> list[bpy.types.Object]:
-    """Three views beside the cloud, of the same points: coloured by error; true velocity and error as arrows.
+    """Return three views beside the cloud, of the same points: coloured by error; true velocity and error as arrows.
 
     Arrows have one length per m/s and colours one range in all of them. Views of an earlier call are replaced.
     """

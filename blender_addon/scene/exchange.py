@@ -50,7 +50,7 @@ def write(things: list[bpy.types.Object], path: Path, first: int, last: int) -> 
 
 @contextmanager
 def read(path: Path) -> Iterator[list[bpy.types.Object]]:
-    """The objects of a file, in the scene until the block ends.
+    """Provide the objects of a file, in the scene until the block ends.
 
     Raises DataFormatError: no such file, it cannot be read, or this Blender was built without the format.
     """

@@ -24,7 +24,7 @@ class FireObjects:
 
 
 def find_flame() -> bpy.types.Object:
-    """The object of the open scene that shines. Raises LookupError if there is none."""
+    """Return the object of the open scene that shines. Raises LookupError if there is none."""
     flame = bpy.data.objects.get(FLAME_NAME)
     if flame is None:
         raise LookupError(f"the scene {bpy.data.filepath or '(unsaved)'} has no object named {FLAME_NAME!r}")

@@ -45,18 +45,18 @@ class FlameSource(Protocol):
         """Write the velocity of all dataset frames, resumable."""
 
     def velocity(self, blender_frame: int) -> np.ndarray:
-        """Velocity of the gas, m/s of the dataset clock, world axes."""
+        """Return velocity of the gas, m/s of the dataset clock, world axes."""
 
     def scalars(self, blender_frame: int) -> dict[str, np.ndarray]:
         """Scalar grids that there are, of those in `contents`; "flame" is always one."""
 
     def light(self, blender_frame: int) -> np.ndarray:
-        """Emitted light, up to one factor."""
+        """Return emitted light, up to one factor."""
 
     def provenance(self) -> dict[str, Any]:
-        """What the dataset says of the flame's origin beside its spec."""
+        """Return what the dataset says of the flame's origin beside its spec."""
 
 
 def flame_source(spec: SceneSpec) -> FlameSource:
-    """The source of a spec's flame. Its methods raise SpecError where the files of a fire of grids are wrong."""
+    """Return the source of a spec's flame. Its methods raise SpecError where the files of a fire of grids are wrong."""
     return SOURCES[type(spec.fire)](spec)

@@ -44,7 +44,7 @@ def ellipsoids_in_points(name: str) -> bpy.types.Material:
 
 
 def _whitened(nodes: Nodes, vector) -> bpy.types.NodeSocket:
-    """A vector of the object's space, along the Gaussian's axes and in its standard deviations."""
+    """Return a vector of the object's space, along the Gaussian's axes and in its standard deviations."""
     turned = nodes.add(
         "ShaderNodeVectorRotate",
         {"Vector": vector, "Rotation": _attribute(nodes, "gs_euler")["Vector"]},
@@ -55,7 +55,7 @@ def _whitened(nodes: Nodes, vector) -> bpy.types.NodeSocket:
 
 
 def _in_object(nodes: Nodes, vector, kind: str) -> bpy.types.NodeSocket:
-    """A vector of the world in the object's space."""
+    """Return a vector of the world in the object's space."""
     return nodes.add(
         "ShaderNodeVectorTransform",
         {"Vector": vector},
@@ -88,7 +88,8 @@ def _attribute(nodes: Nodes, name: str, of: str = "GEOMETRY") -> bpy.types.bpy_p
 
 
 def _glow(nodes: Nodes, attributes_of: str = "GEOMETRY") -> bpy.types.NodeSocket:
-    """Emission of gs_color as the camera sees it; its fourth value scales the light that falls on everything else."""
+    """Return emission of gs_color as the camera sees it; its fourth value scales the light that falls on everything
+    else."""
     color = _attribute(nodes, "gs_color", attributes_of)
     camera = nodes.add("ShaderNodeLightPath").outputs["Is Camera Ray"]
     others = nodes.math("MULTIPLY", nodes.math("SUBTRACT", 1.0, camera), color["Alpha"])
@@ -98,7 +99,7 @@ def _glow(nodes: Nodes, attributes_of: str = "GEOMETRY") -> bpy.types.NodeSocket
 
 
 def _splat(nodes: Nodes, hit, ray, place) -> None:
-    """Opacity by the distance of a ray from the centre: exact wherever on a faceted ball it has hit.
+    """Set the opacity by the distance of a ray from the centre: exact wherever on a faceted ball it has hit.
 
     Args:
         ray: its direction, of any length, and `place`: where it hit, both with lengths in standard deviations.

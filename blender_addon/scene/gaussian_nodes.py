@@ -19,7 +19,7 @@ NAME = "Transient Gaussians"
 LAYOUT = 3  # raise it when the inputs change: clouds of an older add-on keep their own node group
 MODES = ("points", "ellipsoids", "arrows", "streaks")
 QUICK = "points" if compat.EEVEE_DRAWS_POINTS else "ellipsoids"  # the quickest that every view draws
-COLORS = ("image", "speed", "age", "lifetime", "error", "doubt")
+COLORS = ("image", "speed", "age", "lifetime", "error", "uncertainty")
 VECTORS = ("velocity", "true velocity", "error")
 ICOSAHEDRON_RADIUS = EXTENT / 0.7947  # its faces touch the ball of EXTENT; the material does the rounding
 CUT_OFF = 1 / 255  # opacity below which a Gaussian is not visible in an 8-bit picture
@@ -34,7 +34,7 @@ INPUTS = (  # name, kind, default, least, largest, description
     ("Time Scale", FLOAT, 1.0, -1e3, 1e3, "1 plays as fast as it was filmed, 0.1 ten times slower"),
     ("Opacity Cut", FLOAT, CUT_OFF, 0.0, 1.0, "Gaussians fainter than this are not drawn"),
     ("Share", FLOAT, 1.0, 0.0, 1.0, "Share of the Gaussians that is drawn; fewer arrows are easier to read"),
-    ("Color By", WHOLE, 0, 0, 5, "0 image color, 1 speed, 2 age, 3 lifetime, 4 velocity error, 5 velocity doubt"),
+    ("Color By", WHOLE, 0, 0, 5, "0 image color, 1 speed, 2 age, 3 lifetime, 4 velocity error, 5 velocity uncertainty"),
     ("Color Min", FLOAT, 0.0, -1e6, 1e6, "Value at the dark end of the color map (m/s or s)"),
     ("Color Max", FLOAT, 1.0, -1e6, 1e6, "Value at the bright end of the color map (m/s or s)"),
     ("Emission", FLOAT, 1.0, 0.0, 1e6, "Brightness of the flame; 1 looks as in the footage"),
@@ -61,7 +61,7 @@ VIRIDIS = (
 
 
 def node_group() -> bpy.types.NodeTree:
-    """The file's node group of this layout; made when there is none."""
+    """Return the file's node group of this layout; made when there is none."""
     names = {name for name, *_ in INPUTS}
     for tree in bpy.data.node_groups:
         whole = names <= set(compat.input_sockets(tree))  # somebody may have taken inputs away
@@ -136,23 +136,23 @@ def _opacity(nodes: Nodes, time, age) -> bpy.types.NodeSocket:
 
 
 def _mean_scale(nodes: Nodes) -> bpy.types.NodeSocket:
-    """Standard deviation of the ball of the same volume."""
+    """Return standard deviation of the ball of the same volume."""
     sides = nodes.add("ShaderNodeSeparateXYZ", {"Vector": nodes.named("gs_scale", "FLOAT_VECTOR")}).outputs
     return nodes.math("POWER", nodes.math("MULTIPLY", nodes.math("MULTIPLY", sides[0], sides[1]), sides[2]), 1 / 3)
 
 
 def _number_of_its_own(nodes: Nodes) -> bpy.types.NodeSocket:
-    """A number in [0, 1) that stays with a Gaussian at all times."""
+    """Return a number in [0, 1) that stays with a Gaussian at all times."""
     return pick(nodes.add("FunctionNodeRandomValue", data_type="FLOAT").outputs, "Value")
 
 
 def _color(nodes: Nodes, given, velocity, age) -> bpy.types.NodeSocket:
-    """Emitted light, and in the fourth value its factor for all that is not the camera."""
+    """Return emitted light, and in the fourth value its factor for all that is not the camera."""
     lifetime = nodes.math("DIVIDE", 1.0, nodes.math("MAXIMUM", nodes.named("gs_inverse_t_sigma", "FLOAT"), 1e-9))
     speed = nodes.vector("LENGTH", velocity, output="Value")
     error = nodes.vector("DISTANCE", velocity, nodes.named("gs_true_velocity", "FLOAT_VECTOR"), output="Value")
-    doubt = nodes.named("gs_velocity_sd", "FLOAT")
-    value = nodes.choose("FLOAT", given["Color By"], 0.0, speed, age, lifetime, error, doubt)
+    uncertainty = nodes.named("gs_velocity_sd", "FLOAT")
+    value = nodes.choose("FLOAT", given["Color By"], 0.0, speed, age, lifetime, error, uncertainty)
     span = nodes.math("MAXIMUM", nodes.math("SUBTRACT", given["Color Max"], given["Color Min"]), 1e-9)
     ramp = nodes.add(
         "ShaderNodeValToRGB", {"Fac": nodes.math("DIVIDE", nodes.math("SUBTRACT", value, given["Color Min"]), span)}
@@ -175,7 +175,7 @@ def _color(nodes: Nodes, given, velocity, age) -> bpy.types.NodeSocket:
 
 
 def _without(nodes: Nodes, geometry, *names: str) -> bpy.types.NodeSocket:
-    """Drops attributes that have done their part: less to copy and to keep."""
+    """Drop attributes that have done their part: less to copy and to keep."""
     for name in names:
         geometry = nodes.add("GeometryNodeRemoveAttribute", {"Geometry": geometry, "Name": name}).outputs[0]
     return geometry
@@ -214,7 +214,7 @@ def _balls(nodes: Nodes, points, radius: float, subdivisions: int) -> bpy.types.
 
 
 def _around(nodes: Nodes, points) -> bpy.types.NodeSocket:
-    """Points as large as the ellipsoids are long; the material draws the ellipsoids in them."""
+    """Return points as large as the ellipsoids are long; the material draws the ellipsoids in them."""
     sides = nodes.add("ShaderNodeSeparateXYZ", {"Vector": nodes.named("gs_scale", "FLOAT_VECTOR")}).outputs
     longest = nodes.math("MAXIMUM", nodes.math("MAXIMUM", sides[0], sides[1]), sides[2])
     radius = nodes.math("MULTIPLY", longest, EXTENT)
@@ -241,7 +241,7 @@ def _arrows(nodes: Nodes, points, given) -> bpy.types.NodeSocket:
 
 
 def _streaks(nodes: Nodes, points, given, velocity) -> bpy.types.NodeSocket:
-    """The way of the centre in the last Line Time seconds; thinner than the Gaussian."""
+    """Return the way of the centre in the last Line Time seconds; thinner than the Gaussian."""
     mesh = nodes.add(
         "GeometryNodeTransform", {"Geometry": _cone(nodes, bottom=0.0, top=0.3, depth=1.0), "Translation": (0, 0, -1.0)}
     ).outputs[0]
@@ -262,7 +262,8 @@ def _lines(nodes: Nodes, instances, material, of_instances) -> bpy.types.NodeSoc
 
 
 def _cone(nodes: Nodes, bottom: float, top: float, depth: float) -> bpy.types.NodeSocket:
-    """Of three sides: it glows alike on all of them, and every corner is there a hundred thousand times."""
+    """Build a cone of three sides: it glows alike on all of them, and every corner is there a hundred thousand
+    times."""
     return nodes.add(
         "GeometryNodeMeshCone", {"Vertices": 3, "Radius Bottom": bottom, "Radius Top": top, "Depth": depth}
     ).outputs["Mesh"]

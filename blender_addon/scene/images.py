@@ -70,7 +70,7 @@ def write_mask_png(path: Path, mask: np.ndarray) -> None:
 
 
 def read_png(path: Path) -> np.ndarray:
-    """(H, W, C) uint8. Raises OSError if the file cannot be read."""
+    """Return (H, W, C) uint8. Raises OSError if the file cannot be read."""
     pixels, _ = _read(path, oiio.UINT8)
     return pixels
 
@@ -82,7 +82,7 @@ def write_png(path: Path, pixels: np.ndarray) -> None:
 
 
 def opens(path: Path) -> bool:
-    """Whether an image file exists and every pixel of it can be decoded to a finite value."""
+    """Return whether an image file exists and every pixel of it can be decoded to a finite value."""
     if not path.is_file():
         return False
     try:

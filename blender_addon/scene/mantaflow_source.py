@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import threading
 from collections.abc import Callable, Iterator
 from functools import cached_property
 from pathlib import Path
@@ -15,7 +16,6 @@ from ..pure.effects import beyond_velocity
 from ..pure.layout import Layout
 from ..pure.soot import within_cells
 from ..pure.spec import SceneSpec
-from ..pure.watch import Watch
 from . import fire, material, velocity
 from .fire_objects import FireObjects, find_flame
 
@@ -105,3 +105,30 @@ class MantaflowSource:
                 # Blender runs x fastest; blocks of fine noise are averaged.
                 blocks = fine.reshape(z, refine, y, refine, x, refine).mean(axis=(1, 3, 5))
                 yield name, blocks.transpose(2, 1, 0)
+
+
+# ----------------------------------------------------------------
+# Progress of a call that says nothing itself.
+
+
+class Watch:
+    """While a block keeps the main thread busy, reports count() of total, twice a second."""
+
+    def __init__(self, count: Callable[[], int], total: int, progress: Callable[[int, int], None]):
+        self._count = count
+        self._total = total
+        self._progress = progress
+        self._done = threading.Event()
+        self._thread = threading.Thread(target=self._run, daemon=True)
+
+    def _run(self) -> None:
+        while not self._done.wait(0.5):
+            self._progress(self._count(), self._total)
+
+    def __enter__(self) -> None:
+        self._thread.start()
+
+    def __exit__(self, *_) -> None:
+        self._done.set()
+        self._thread.join()
+        self._progress(self._count(), self._total)

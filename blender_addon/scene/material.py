@@ -53,7 +53,7 @@ def flame(fuel: Fuel, intensity: float) -> bpy.types.Material:
 
 
 def soot_flame(sheet: Sheet, burner_z: float) -> bpy.types.Material:
-    """A flame that glows, and dims what is behind it, by its soot.
+    """Return a flame that glows, and dims what is behind it, by its soot.
 
     Args:
         burner_z: z of the burner's lowest place in the coordinates of the object that the material is for.
@@ -96,7 +96,8 @@ def soot_flame(sheet: Sheet, burner_z: float) -> bpy.types.Material:
 
 
 def _table(add, link, by, colours: np.ndarray, values: np.ndarray | None = None):
-    """A ramp of (N, 3) colours and (N,) values, each over its largest, by an attribute; and the largest colour."""
+    """Return a ramp of (N, 3) colours and (N,) values, each over its largest, by an attribute; and the largest
+    colour."""
     ramp = add("ShaderNodeValToRGB")
     elements, count, scale = ramp.color_ramp.elements, len(colours), float(colours.max()) or 1.0
     values = np.ones(count) if values is None else values / (values.max() or 1.0)
@@ -110,7 +111,7 @@ def _table(add, link, by, colours: np.ndarray, values: np.ndarray | None = None)
 
 
 def _product(add, link, socket, factor):
-    """A socket times a number or another socket."""
+    """Return a socket times a number or another socket."""
     node = add("ShaderNodeMath")
     node.operation = "MULTIPLY"
     link(socket, node.inputs[0])
@@ -150,7 +151,7 @@ def tiles(
     stains: float = 0.5,
     roughness: float = 0.8,
 ) -> bpy.types.Material:
-    """Rows of bricks, planks or tiles of ``size`` (m), each of its own shade, with joints and stains."""
+    """Return rows of bricks, planks or tiles of ``size`` (m), each of its own shade, with joints and stains."""
     material, add, link, output = _new(name)
     coordinates = add("ShaderNodeTexCoord")
     bricks = add("ShaderNodeTexBrick")
@@ -190,7 +191,7 @@ def tiles(
 
 
 def _bands(add, colours: Sequence[Colour], low: float, high: float):
-    """A colour ramp in steps: the first colour from 0 on, the others evenly between low and high."""
+    """Return a colour ramp in steps: the first colour from 0 on, the others evenly between low and high."""
     ramp = add("ShaderNodeValToRGB")
     ramp.color_ramp.interpolation = "CONSTANT"
     elements = ramp.color_ramp.elements

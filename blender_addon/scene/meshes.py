@@ -39,7 +39,7 @@ def add(
 def box(
     name: str, size: Sequence[float], collection: bpy.types.Collection, offset=(0.0, 0.0), grain: int = 0, **place
 ) -> bpy.types.Object:
-    """A box centred on its location.
+    """Return a box centred on its location.
 
     offset shifts the texture, so that equal boxes look different; grain is the axis (0 x, 1 y, 2 z) the texture runs
     along.
@@ -58,7 +58,7 @@ def box(
 def lathe(
     name: str, profile: Sequence[tuple[float, float]], collection: bpy.types.Collection, segments: int = 32, **place
 ) -> bpy.types.Object:
-    """A surface of revolution about local Z; profile lists (radius, z) from bottom to top along the outside."""
+    """Return a surface of revolution about local Z; profile lists (radius, z) from bottom to top along the outside."""
     vertices, faces, uvs = [], [], []
     lengths = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(np.array(profile), axis=0).T))])
     widest = max(radius for radius, _ in profile)
@@ -89,7 +89,7 @@ def ellipsoid(
     segments: int = 24,
     **place,
 ) -> bpy.types.Object:
-    """A closed ellipsoid (poles are single vertices, as a fluid emitter needs a watertight mesh)."""
+    """Return a closed ellipsoid (poles are single vertices, as a fluid emitter needs a watertight mesh)."""
     vertices = [(0.0, 0.0, -half_size[2])]
     for ring in range(1, rings):
         polar = math.pi * ring / rings

@@ -20,7 +20,7 @@ ATTRIBUTES = (  # name, of `Points`, type, field
 
 
 def add(points: Points, name: str) -> bpy.types.Object:
-    """An object with the points as splats, in the current scene.
+    """Return an object with the points as splats, in the current scene.
 
     Raises RuntimeError: this Blender has no splats.
     """

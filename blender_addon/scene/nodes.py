@@ -12,7 +12,7 @@ class Nodes:
         self.tree = tree
 
     def add(self, kind: str, inputs: dict | None = None, **properties) -> bpy.types.Node:
-        """A node of type `kind`; `inputs` by name, or by index where names repeat."""
+        """Return a node of type `kind`; `inputs` by name, or by index where names repeat."""
         node = self.tree.nodes.new(kind)
         for key, value in properties.items():
             setattr(node, key, value)
@@ -36,7 +36,7 @@ class Nodes:
         return node.outputs[output]
 
     def named(self, name: str, kind: str) -> bpy.types.NodeSocket:
-        """A named attribute in geometry nodes; 0 where it does not exist."""
+        """Return a named attribute in geometry nodes; 0 where it does not exist."""
         return pick(self.add("GeometryNodeInputNamedAttribute", {"Name": name}, data_type=kind).outputs, "Attribute")
 
     def store(self, geometry, name: str, kind: str, value, domain: str = "POINT") -> bpy.types.NodeSocket:
@@ -48,7 +48,7 @@ class Nodes:
         ).outputs["Geometry"]
 
     def equal(self, whole, number: int) -> bpy.types.NodeSocket:
-        """Whether an integer is `number`."""
+        """Return whether an integer is `number`."""
         return self.add("FunctionNodeCompare", {"A": whole, "B": number}, data_type="INT", operation="EQUAL").outputs[
             "Result"
         ]
@@ -65,7 +65,7 @@ class Nodes:
 
 
 def pick(sockets, name: str) -> bpy.types.NodeSocket:
-    """The socket in use of that name: nodes of several data types have one of each, and all but one disabled.
+    """Return the socket in use of that name: nodes of several data types have one of each, and all but one disabled.
 
     Identifiers count too: names get clearer between versions (Fac became Factor in 5.0), identifiers stay.
     """

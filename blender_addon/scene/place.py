@@ -23,23 +23,24 @@ PLACE, DOMAIN, EMITTER = "place", "domain", "emitter"
 
 
 def part_of(thing: bpy.types.Object) -> str | None:
-    """Which part of a fire an object is: "place", "domain", "emitter", a camera's name ("cam_0"), "effect" or None."""
+    """Return which part of a fire an object is: "place", "domain", "emitter", a camera's name ("cam_0"), "effect" or
+    None."""
     return thing.get(PART)
 
 
 def find(scene: bpy.types.Scene, part: str) -> bpy.types.Object | None:
-    """A part of the scene's fire, or None."""
+    """Return a part of the scene's fire, or None."""
     return next((thing for thing in scene.objects if part_of(thing) == part), None)
 
 
 def cameras(scene: bpy.types.Scene) -> list[bpy.types.Object]:
-    """Cameras of the rig: cam_0, cam_1, ..., then those for evaluation."""
+    """Return cameras of the rig: cam_0, cam_1, ..., then those for evaluation."""
     found = [thing for thing in scene.objects if thing.type == "CAMERA" and part_of(thing)]
     return sorted(found, key=lambda thing: (part_of(thing).startswith("eval"), len(part_of(thing)), part_of(thing)))
 
 
 def mark(scene: bpy.types.Scene, location: Vector) -> bpy.types.Object:
-    """The scene's place for a fire, moved to a location (in the scene's units); made if there is none."""
+    """Return the scene's place for a fire, moved to a location (in the scene's units); made if there is none."""
     place = find(scene, PLACE)
     if place is None:
         place = bpy.data.objects.new("Fire", None)
@@ -104,13 +105,14 @@ def remove(scene: bpy.types.Scene, which) -> None:
 
 
 def to_our_world(marker: Matrix, scale: float) -> Matrix:
-    """A scene's world to that of a spec: the marker to the origin, its heading to +X, the scene's units to metres."""
+    """Return a scene's world to that of a spec: the marker to the origin, its heading to +X, the scene's units to
+    metres."""
     heading = math.atan2(marker[1][0], marker[0][0])
     return Matrix.Scale(scale, 4) @ Matrix.Rotation(-heading, 4, "Z") @ Matrix.Translation(-marker.to_translation())
 
 
 def collection(scene: bpy.types.Scene, name: str) -> bpy.types.Collection:
-    """The scene's collection with a name, made if there is none."""
+    """Return the scene's collection with a name, made if there is none."""
     found = next((item for item in scene.collection.children_recursive if item.name.partition(".")[0] == name), None)
     if found is None:
         found = bpy.data.collections.new(name)

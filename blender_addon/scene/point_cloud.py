@@ -48,12 +48,12 @@ class CloudInputs:
         return compat.modifier_value(self.modifier, self._sockets[name].identifier)
 
     def path(self, name: str) -> str:
-        """Path from the object, for drivers and keyframes."""
+        """Return path from the object, for drivers and keyframes."""
         return compat.modifier_path(self.modifier, self._sockets[name].identifier)
 
 
 def inputs(thing: bpy.types.Object | None) -> CloudInputs | None:
-    """The settings of an object that is a cloud; None for any other."""
+    """Return the settings of an object that is a cloud; None for any other."""
     for modifier in thing.modifiers if thing else ():
         if modifier.type == "NODES" and modifier.node_group and "gof_layout" in modifier.node_group:
             return CloudInputs(thing, modifier)
@@ -89,7 +89,8 @@ def add_point_cloud(
 
 
 def add_view(mesh: bpy.types.Mesh, name: str) -> bpy.types.Object:
-    """A cloud of a mesh that `add_point_cloud` has made, with settings of its own; points are shared, not copied."""
+    """Return a cloud of a mesh that `add_point_cloud` has made, with settings of its own; points are shared, not
+    copied."""
     scene = bpy.context.scene
     thing = bpy.data.objects.new(name, mesh)
     scene.collection.objects.link(thing)
@@ -109,7 +110,8 @@ def stand_on(thing: bpy.types.Object, cloud: GaussianCloud, spot: Vector) -> Non
 
 
 def foot(cloud: GaussianCloud) -> np.ndarray:
-    """(3,) m, amid the lowest tenth of what moves, and as low as that begins; of everything where nothing moves."""
+    """Return (3,) m, amid the lowest tenth of what moves, and as low as that begins; of everything where nothing
+    moves."""
     places = cloud.position[cloud.dynamic if cloud.dynamic.any() else slice(None)].astype(np.float64)
     low, high = np.percentile(places[:, 2], [1, 99])  # without the runaways
     lowest = places[places[:, 2] <= low + 0.1 * (high - low)]
@@ -117,7 +119,7 @@ def foot(cloud: GaussianCloud) -> np.ndarray:
 
 
 def cloud_of(thing: bpy.types.Object) -> GaussianCloud | None:
-    """The Gaussians that an object shows, from its mesh; None for one of an older add-on, which kept no colors.
+    """Return the Gaussians that an object shows, from its mesh; None for one of an older add-on, which kept no colors.
 
     A Gaussian that rests and is always on counts as static.
     """
@@ -152,7 +154,7 @@ def cloud_of(thing: bpy.types.Object) -> GaussianCloud | None:
 
 
 def datum_of(thing: bpy.types.Object) -> Datum:
-    """The datum that an object's places and times count from; zeros where it names none."""
+    """Return the datum that an object's places and times count from; zeros where it names none."""
     return Datum.from_numbers(thing.get(DATUM, (0.0,) * 4), thing.name)
 
 
@@ -160,7 +162,7 @@ def why_not_color(mesh: bpy.types.Mesh, color: str) -> str | None:
     """Why a cloud has no values for one of `gaussian_nodes.COLORS`, if it has none."""
     if color == "error" and "gs_true_velocity" not in mesh.attributes:
         return "score first: choose a Dataset in the panel Score and press Show Errors"
-    if color == "doubt" and "gs_velocity_sd" not in mesh.attributes:
+    if color == "uncertainty" and "gs_velocity_sd" not in mesh.attributes:
         return "this file does not say how sure its velocities are"
     return None
 
@@ -179,7 +181,7 @@ def color_by(thing: bpy.types.Object, color: str) -> None:
 
 
 def value_range(mesh: bpy.types.Mesh, color: str) -> tuple[float, float]:
-    """Values at the ends of the colour map: m/s from 0 on for speed, error and doubt, s for age and lifetime.
+    """Return values at the ends of the colour map: m/s from 0 on for speed, error, uncertainty, s for age and lifetime.
 
     The largest 2 % are left out: a few runaways would make all others look the same.
     """
@@ -190,7 +192,7 @@ def value_range(mesh: bpy.types.Mesh, color: str) -> tuple[float, float]:
         if color == "age":  # what is seen of a Gaussian is the time around its brightest moment
             return float(-2 * np.median(lifetime)), float(2 * np.median(lifetime))
         return float(np.percentile(lifetime, 2)), float(np.percentile(lifetime, 98))
-    if color == "doubt":
+    if color == "uncertainty":
         return 0.0, float(np.percentile(column(mesh, "gs_velocity_sd", 1), 98))
     velocity = column(mesh, "gs_gas_velocity", 3)
     if color == "error":
@@ -199,7 +201,8 @@ def value_range(mesh: bpy.types.Mesh, color: str) -> tuple[float, float]:
 
 
 def column(mesh: bpy.types.Mesh, name: str, width: int) -> np.ndarray:
-    """A point attribute, (N, width) float32. Raises CloudError: it is not there, or not to be read in this mode."""
+    """Return a point attribute, (N, width) float32. Raises CloudError: it is not there, or not to be read in this
+    mode."""
     attribute = mesh.attributes.get(name)
     if mesh.is_editmode:
         raise CloudError(f"{mesh.name}: is being edited; leave Edit Mode first")
@@ -219,7 +222,7 @@ def add_column(mesh: bpy.types.Mesh, name: str, values: np.ndarray) -> None:
 
 
 def _mesh(cloud: GaussianCloud, name: str) -> bpy.types.Mesh:
-    """Vertices at x0 with the Gaussians' values as point attributes."""
+    """Return vertices at x0 with the Gaussians' values as point attributes."""
     light = display.emission(cloud, display.ToneCurve.measure(bpy.context.scene))
     mesh = bpy.data.meshes.new(name)
     mesh.vertices.add(len(cloud))
@@ -235,11 +238,11 @@ def _mesh(cloud: GaussianCloud, name: str) -> bpy.types.Mesh:
     add_column(mesh, "gs_opacity", cloud.opacity)
     add_column(mesh, "gs_light", light)
     add_column(mesh, DISPLAY, cloud.color)
-    if cloud.says_doubt:
-        # No infinity enters the node graph: where nobody says how sure a velocity is, it may be wrong by all of itself.
+    if cloud.says_uncertainty:
+        # No infinity enters the node graph: an unknown uncertainty of a velocity becomes its own size.
         speed = np.linalg.norm(cloud.moving_gas, axis=1)
-        doubt = np.where(np.isfinite(cloud.velocity_sd), cloud.velocity_sd, speed)
-        add_column(mesh, "gs_velocity_sd", doubt * alive)
+        uncertainty = np.where(np.isfinite(cloud.velocity_sd), cloud.velocity_sd, speed)
+        add_column(mesh, "gs_velocity_sd", uncertainty * alive)
     if cloud.begin is not None:
         add_column(mesh, "gs_begin", cloud.begin)
         add_column(mesh, "gs_end", cloud.end)
@@ -267,7 +270,7 @@ def quaternions(euler: np.ndarray) -> np.ndarray:
 
 
 def _line_time(cloud: GaussianCloud) -> float:
-    """Seconds in which a fast Gaussian passes a tenth of the cloud: arrows as long as that can be told apart."""
+    """Return seconds in which a fast Gaussian passes a tenth of the cloud: arrows as long as that can be told apart."""
     fast = (
         float(np.percentile(np.linalg.norm(cloud.moving_gas[cloud.dynamic], axis=1), 98))
         if cloud.dynamic.any()

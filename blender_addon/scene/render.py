@@ -64,7 +64,7 @@ def configure(spec: SceneSpec) -> None:
 
 
 def can_denoise() -> bool:
-    """Whether this Blender was built with Open Image Denoise; those of some Linux distributions are not."""
+    """Return whether this Blender was built with Open Image Denoise; those of some Linux distributions are not."""
     import _cycles
 
     return _cycles.with_openimagedenoise
@@ -200,7 +200,8 @@ def frames(spec: SceneSpec, layout: Layout, progress: Progress) -> None:
 
 
 def seen(light: np.ndarray, spec: SceneSpec, camera: int, frame: int, factor: float) -> np.ndarray:
-    """Rendered light to what the sensor reports: what is drawn over it first, then the exposure, then the sensor."""
+    """Turn rendered light into what the sensor reports: what is drawn over it first, then the exposure, then the
+    sensor."""
     light = effects.overlay(light, spec, camera, frame)
     light = light if factor == 1.0 else factor * light
     return expose(light, spec.effects, spec.timeline.picture(camera, frame))

@@ -29,12 +29,12 @@ def keep(thing: bpy.types.Object, source: list[Path]) -> None:
 
 
 def known(thing: bpy.types.Object) -> bool:
-    """Whether there is a file where a cloud's was; quick, for panels."""
+    """Return whether there is a file where a cloud's was; quick, for panels."""
     return any(path.exists() for path in _places(thing))
 
 
 def find(thing: bpy.types.Object, chosen: str = "") -> Path:
-    """The file, or the folder, that a cloud was imported from.
+    """Return the file, or the folder, that a cloud was imported from.
 
     Args:
         chosen: by the user; "" looks where it was imported from in this session, and from the .blend on.
@@ -66,12 +66,12 @@ def _places(thing: bpy.types.Object) -> list[Path]:
 
 
 def _home() -> Path | None:
-    """The folder of the .blend, once it has been saved."""
+    """Return the folder of the .blend, once it has been saved."""
     return Path(bpy.data.filepath).resolve().parent if bpy.data.filepath else None
 
 
 def _sum(files: list[Path]) -> str:
-    """Of the sizes and both ends of files: a result that was written again differs everywhere."""
+    """Return a digest of the sizes and both ends of files: a result that was written again differs everywhere."""
     found = hashlib.sha256()
     for path in files:
         size = path.stat().st_size

@@ -7,8 +7,7 @@ import numpy as np
 from mathutils import Matrix, Quaternion, Vector
 
 from ..core.description import CameraEntry
-from ..pure import camera_poses
-from ..pure.rig import AROUND, Rig, role_of
+from ..pure.rig import AROUND, Rig, positions, role_of
 from ..pure.spec import SceneSpec
 
 SENSOR_MM = 36.0  # long side of the sensor
@@ -46,12 +45,13 @@ def set_picture_size(spec: SceneSpec) -> None:
 
 
 def find(spec: SceneSpec) -> list[bpy.types.Object]:
-    """The rig's cameras in the open scene, in order."""
+    """Return the rig's cameras in the open scene, in order."""
     return [bpy.data.objects[name] for name in spec.cameras.names]
 
 
 def intrinsics(camera: bpy.types.Object, scene: bpy.types.Scene) -> np.ndarray:
-    """(3, 3) matrix K in pixels; pixel centres are at integer + 0.5, so the image spans [0, width] x [0, height]."""
+    """Return (3, 3) matrix K in pixels; pixel centres are at integer + 0.5, so the image spans [0, width] x [0,
+    height]."""
     width, height = scene.render.resolution_x, scene.render.resolution_y
     data = camera.data
     side_px, side_mm = (height, data.sensor_height) if data.sensor_fit == "VERTICAL" else (width, data.sensor_width)
@@ -60,12 +60,13 @@ def intrinsics(camera: bpy.types.Object, scene: bpy.types.Scene) -> np.ndarray:
 
 
 def world_to_camera(camera: bpy.types.Object) -> np.ndarray:
-    """(4, 4) pose in OpenCV axes (x right, y down, z forward), from the single-precision pose Blender renders with."""
+    """Return (4, 4) pose in OpenCV axes (x right, y down, z forward), from the single-precision pose Blender renders
+    with."""
     return pose_of(camera.matrix_world)
 
 
 def pose_of(to_world: Matrix) -> np.ndarray:
-    """(4, 4) world to camera in OpenCV axes; the rotation is made orthonormal in double precision.
+    """Return (4, 4) world to camera in OpenCV axes; the rotation is made orthonormal in double precision.
 
     Args:
         to_world: camera to world, x right, y up, z backward.
@@ -80,7 +81,7 @@ def pose_of(to_world: Matrix) -> np.ndarray:
 
 
 def describe(camera: bpy.types.Object, spec: SceneSpec, files: dict[str, str]) -> CameraEntry:
-    """The camera's entry in dataset.json; `files` are its file names by kind."""
+    """Return the camera's entry in dataset.json; `files` are its file names by kind."""
     scene = bpy.context.scene
     index = spec.cameras.names.index(camera.name)
     timings = [spec.timeline.timing(index, frame) for frame in range(spec.clip.frames)]
@@ -102,16 +103,17 @@ def describe(camera: bpy.types.Object, spec: SceneSpec, files: dict[str, str]) -
 
 
 def as_picture(values: np.ndarray, spec: SceneSpec) -> np.ndarray:
-    """Values of lines in reading order as (H, 1, 1) or (1, W, 1), to be combined with a stored picture."""
+    """Return values of lines in reading order as (H, 1, 1) or (1, W, 1), to be combined with a stored picture."""
     direction = READOUT[spec.cameras.roll_deg]
     ordered = values[::-1] if direction in ("left", "up") else values
     return ordered[None, :, None] if direction in ("left", "right") else ordered[:, None, None]
 
 
 def poses(rig: Rig) -> list[Matrix]:
-    """Camera to world of all cameras, in the order of their names: as they were placed, on the arc, or around."""
+    """Return camera to world of all cameras, in the order of their names: as they were placed, on the arc, or
+    around."""
     placed = [Matrix.LocRotScale(Vector(pose.position), Quaternion(pose.rotation), None) for pose in rig.placed]
-    places = camera_poses.positions(rig)[len(placed) :].tolist()
+    places = positions(rig)[len(placed) :].tolist()
     turns = [(Vector(rig.look_at) - Vector(position)).to_track_quat("-Z", "Y") for position in places]
     return placed + [
         Matrix.LocRotScale(Vector(position), turn, None) for position, turn in zip(places, turns, strict=True)

@@ -44,7 +44,7 @@ def scenes_with_clouds() -> set[bpy.types.Scene]:
 
 
 def _stops(scene: bpy.types.Scene) -> bool:
-    """Whether a ray stops early in a scene of this file; what is linked cannot be changed here."""
+    """Return whether a ray stops early in a scene of this file; what is linked cannot be changed here."""
     cycles = getattr(scene, "cycles", None)
     return cycles is not None and scene.library is None and cycles.transparent_max_bounces < SURFACES
 

@@ -100,7 +100,7 @@ def _check_export(domain_object: bpy.types.Object, frames: list[int], fps: float
 
 
 def index_to_world(domain_object: bpy.types.Object) -> np.ndarray:
-    """(4, 4) float64: continuous cell index (cell i spans [i, i + 1]) to world metres, at the current frame.
+    """Return (4, 4) float64: continuous cell index (cell i spans [i, i + 1]) to world metres, at the current frame.
 
     Blender reports the cell size per axis in object space, unapplied scale included, so cells of a domain whose sides
     are not whole multiples of the cell come out slightly oblong (half a cell over the whole side at most).
@@ -112,7 +112,7 @@ def index_to_world(domain_object: bpy.types.Object) -> np.ndarray:
 
 
 def read_staggered(domain_object: bpy.types.Object) -> np.ndarray:
-    """The cached MAC velocity of the current frame as (X, Y, Z, 3) float32, solver units, on lower faces.
+    """Return the cached MAC velocity of the current frame as (X, Y, Z, 3) float32, solver units, on lower faces.
 
     Raises:
         ValueError: nothing cached, or an OpenVDB cache that was clipped to the smoke.
@@ -129,7 +129,7 @@ def read_staggered(domain_object: bpy.types.Object) -> np.ndarray:
 
 
 def read_density(domain_object: bpy.types.Object) -> np.ndarray:
-    """The cached smoke density of the current frame as (X, Y, Z) float32.
+    """Return the cached smoke density of the current frame as (X, Y, Z) float32.
 
     Raises:
         ValueError: nothing cached.
@@ -163,7 +163,7 @@ def _domain_settings(domain_object: bpy.types.Object) -> bpy.types.FluidDomainSe
 
 
 def evaluated(domain_object: bpy.types.Object) -> bpy.types.FluidDomainSettings:
-    """Settings of a fluid domain that hold its grids at the current frame."""
+    """Return settings of a fluid domain that hold its grids at the current frame."""
     return _domain_settings(domain_object.evaluated_get(bpy.context.evaluated_depsgraph_get()))
 
 

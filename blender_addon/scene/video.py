@@ -37,7 +37,8 @@ def through_codec(spec: SceneSpec, layout: Layout, camera: str, settings: Settin
 
 
 def _padded(source: Path) -> Path:
-    """A copy of a picture with even sides, as the encoder wants them: the last line is repeated, and later cut off."""
+    """Return a copy of a picture with even sides, as the encoder wants them: the last line is repeated, and later cut
+    off."""
     picture = images.read_png(source)
     height, width = picture.shape[:2]
     path = source.with_name(f"padded-{source.name}")
@@ -71,7 +72,7 @@ def _decode(video: Path, scene: bpy.types.Scene, pictures: list[Path], size: tup
 
 
 def _sequence(width: int, height: int, spec: SceneSpec) -> bpy.types.Scene:
-    """A scene that shows its strips pixel by pixel, colours untouched."""
+    """Return a scene that shows its strips pixel by pixel, colours untouched."""
     scene = bpy.data.scenes.new("Video")
     bpy.context.window.scene = scene
     scene.sequence_editor_create()

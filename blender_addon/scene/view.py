@@ -1,4 +1,4 @@
-"""The scene's colour management as a spec has it."""
+"""The scene's colour management as a spec has it: for panels too, so it needs nothing that old Blenders lack."""
 
 from __future__ import annotations
 

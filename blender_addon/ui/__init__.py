@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import bpy
 
-from . import benchmark, camera_files, export, fire, native_splats, preferences, reconstruction, score
+from . import benchmark, camera_files, export, fire, preferences, reconstruction, score
 
 PANELS = {"fire": fire, "benchmark": benchmark, "reconstruction": reconstruction, "score": score}
 
@@ -26,7 +26,7 @@ def _classes(module) -> tuple[type, ...]:
 
 
 def register() -> None:
-    for module in (preferences, export, native_splats, camera_files, *PANELS.values()):
+    for module in (preferences, export, camera_files, *PANELS.values()):
         for kind in _classes(module):
             bpy.utils.register_class(kind)
         getattr(module, "register", lambda: None)()
@@ -37,7 +37,7 @@ def register() -> None:
 def unregister() -> None:
     del bpy.types.Scene.gof
     bpy.utils.unregister_class(GOF_PG_scene)
-    for module in reversed((preferences, export, native_splats, camera_files, *PANELS.values())):
+    for module in reversed((preferences, export, camera_files, *PANELS.values())):
         getattr(module, "unregister", lambda: None)()
         for kind in reversed(_classes(module)):
             bpy.utils.unregister_class(kind)

@@ -9,13 +9,13 @@ from bpy.props import BoolProperty, EnumProperty, FloatProperty, StringProperty
 
 from ..core.checked_json import SpecError
 from ..core.errors import GofError
-from ..pure import cost_model, look_process
+from ..pure import cost_model, dataset_process
 from ..pure import spec as spec_file
 from ..pure.dataset_process import Job, expected_s, left_s
 from ..pure.effects import changes_bake, name_of
 from ..pure.layout import Layout, leaving
+from ..pure.plausibility import require_sense
 from ..pure.presets import PRESETS
-from ..pure.sense import require_sense
 from ..pure.spec import BACKGROUND, BlendFile, SceneSpec
 from ..scene import bodies, compat, place
 from ..scene.backgrounds import blend_file
@@ -92,7 +92,7 @@ class GOF_PG_benchmark(bpy.types.PropertyGroup):
 
 
 def spec_of(scene: bpy.types.Scene, background_file: Path) -> SceneSpec:
-    """The spec that the two panels describe. Raises SpecError that says what to change.
+    """Return the spec that the two panels describe. Raises SpecError that says what to change.
 
     Args:
         background_file: where the surroundings are, or will be, for a benchmark of this scene.
@@ -124,7 +124,7 @@ def spec_of(scene: bpy.types.Scene, background_file: Path) -> SceneSpec:
 
 
 def folder_of(scene: bpy.types.Scene) -> Layout:
-    """Where the dataset goes. Raises SpecError that says what to change."""
+    """Return where the dataset goes. Raises SpecError that says what to change."""
     settings = scene.gof.benchmark
     if not settings.folder or (settings.folder.startswith("//") and not bpy.data.filepath):
         raise SpecError("choose an output folder: this file has not been saved, so there is no folder beside it")
@@ -132,7 +132,8 @@ def folder_of(scene: bpy.types.Scene) -> Layout:
 
 
 def planned(scene: bpy.types.Scene) -> tuple[SceneSpec, Layout]:
-    """The spec that the two panels describe, and where its dataset goes. Raises SpecError that says what to change."""
+    """Return the spec that the two panels describe, and where its dataset goes. Raises SpecError that says what to
+    change."""
     layout = folder_of(scene)
     spec = spec_of(scene, layout.background)
     return (
@@ -165,7 +166,7 @@ class GOF_OT_bake_render(JobOperator, bpy.types.Operator):
         return cls.job is None and why_not() is None
 
     def begin(self, context) -> Job:
-        """A job whose folder is claimed and which fits this machine."""
+        """Return a job whose folder is claimed and which fits this machine."""
         spec, layout = planned(context.scene)
         notes = require_sense(spec, files=not _brings_its_scene(spec, layout))
         require_display(spec.display)
@@ -173,7 +174,9 @@ class GOF_OT_bake_render(JobOperator, bpy.types.Operator):
         if not layout.bake_marker.is_file():
             cost_model.require_room(spec, layout.root)
             brings = _brings_its_scene(spec, layout)
-            notes += _in_this_scene(context, spec, again=True) if brings else look_process.notes(spec, blender())
+            notes += (
+                _in_this_scene(context, spec, again=True) if brings else dataset_process.scene_notes(spec, blender())
+            )
         for note in notes:
             self.report({"WARNING"}, note)
         layout.claim(spec)
@@ -314,7 +317,7 @@ class GOF_PT_benchmark(SidebarPanel, bpy.types.Panel):
 
 
 def _unused(scene: bpy.types.Scene) -> list[str]:
-    """What of the Fire panel is left out because the fire comes as grids."""
+    """Return what of the Fire panel is left out because the fire comes as grids."""
     settings = scene.gof.benchmark
     if settings.background == "file" or not settings.grids:
         return []
@@ -323,7 +326,7 @@ def _unused(scene: bpy.types.Scene) -> list[str]:
 
 
 def loss(job: Job) -> list[str]:
-    """What stopping a job now costs, as lines of a question."""
+    """Return what stopping a job now costs, as lines of a question."""
     if job.stage == "bake":
         done = f"The bake is {100 * job.share:.0f} % done. Stopped now, it would start over."
         return ["Stop the benchmark?", done, "Esc goes on with it."]
@@ -334,7 +337,7 @@ _seen: tuple[tuple, list[str]] = ((), [])  # what the panel has said last of thi
 
 
 def _in_this_scene(context, spec: SceneSpec, again: bool) -> list[str]:
-    """What the user should know of this scene's objects in the fire's domain.
+    """Return what the user should know of this scene's objects in the fire's domain.
 
     A panel, which is drawn all the time, looks ``again`` only where an object has moved or changed its size.
     """
@@ -349,12 +352,12 @@ def _in_this_scene(context, spec: SceneSpec, again: bool) -> list[str]:
 
 
 def _brings_its_scene(spec: SceneSpec, layout: Layout) -> bool:
-    """Whether the surroundings are this very scene, which is written into the dataset's folder."""
+    """Return whether the surroundings are this very scene, which is written into the dataset's folder."""
     return bool(spec.blend_file) and layout.background == Path(spec.blend_file.path)
 
 
 def _draw_cost(box, context, spec: SceneSpec, layout: Layout | None) -> None:
-    """What the dataset is, and what it should cost; of one that was begun, what is left."""
+    """Draw the dataset's figures and its expected cost; of one that was begun, what is left."""
     prediction = cost_model.predict(spec, cost_model.known_machine() or cost_model.REFERENCE)
     expected = expected_s(spec, prediction)
     frames, cameras = spec.clip.frames, len(spec.cameras.whole_clip)
@@ -402,5 +405,5 @@ CLASSES = (GOF_OT_bake_render, GOF_OT_stop_benchmark, GOF_OT_open_benchmark, GOF
 
 
 def unregister() -> None:
-    """A job does not outlive the add-on."""
+    """End the job: it does not outlive the add-on."""
     GOF_OT_bake_render.stop_job()

@@ -20,7 +20,7 @@ DEFAULT = ("vorticity",)  # without it the solver's own diffusion makes a flame 
 
 
 def _descriptions(settings: type) -> dict[str, str]:
-    """First lines of the strings that follow a dataclass's fields in its source."""
+    """Return first lines of the strings that follow a dataclass's fields in its source."""
     body = ast.parse(inspect.getsource(settings)).body[0].body
     return {
         field.target.id: note.value.value.strip().split("\n")[0].rstrip(".")
@@ -30,7 +30,7 @@ def _descriptions(settings: type) -> dict[str, str]:
 
 
 def label(name: str, note: str) -> str:
-    """What a panel calls a field: its name, and its unit by the suffix or, without one, by its description."""
+    """Return what a panel calls a field: its name, and its unit by the suffix or, without one, by its description."""
     for suffix, unit in SUFFIXES.items():
         if name.endswith(f"_{suffix}"):
             return f"{name.removesuffix('_' + suffix).replace('_', ' ').capitalize()} ({unit})"
@@ -77,7 +77,7 @@ class GOF_PG_effects(bpy.types.PropertyGroup):
 
 
 def chosen(groups: GOF_PG_effects) -> tuple:
-    """Settings of the effects that are in use. Raises SpecError for a value out of range."""
+    """Return settings of the effects that are in use. Raises SpecError for a value out of range."""
     used = [(effects.module(name).Settings, getattr(groups, name)) for name in GROUPS if getattr(groups, name).use]
     return tuple(
         settings(**{name: exact(getattr(group, name)) for name in group.__annotations__ if name != "use"})
@@ -86,19 +86,19 @@ def chosen(groups: GOF_PG_effects) -> tuple:
 
 
 def in_scene(name: str) -> bool:
-    """Whether an effect is something in the scene, not in the camera."""
+    """Return whether an effect is something in the scene, not in the camera."""
     return changes_scene(effects.module(name).Settings())
 
 
 def exact(value):
-    """A property's value as it was typed: Blender keeps single precision, 0.13 reads as 0.12999999523."""
+    """Return a property's value as it was typed: Blender keeps single precision, 0.13 reads as 0.12999999523."""
     if isinstance(value, bpy.types.bpy_prop_array):
         return tuple(map(exact, value))
     return float(f"{value:.7g}") if isinstance(value, float) else value
 
 
 def draw(layout, groups: GOF_PG_effects) -> None:
-    """A checklist; the settings of those chosen open below them."""
+    """Draw a checklist; the settings of those chosen open below them."""
     for title, wanted in (("In the scene", True), ("In the cameras", False)):
         box = layout.box()
         box.label(text=title)

@@ -13,7 +13,7 @@ from ..core.errors import DataFormatError, GofError
 from ..pure import points, voxels
 from ..pure.io import usd_points, vdb_file
 from ..pure.io.cloud import GaussianCloud
-from ..scene import alembic_points, point_cloud
+from ..scene import alembic_points, compat, native_splats, point_cloud
 from .panel import number
 
 FINENESS = 96  # voxels along the longest side, where no size is given
@@ -32,7 +32,7 @@ class Recording:
 
     @classmethod
     def of(cls, scene: bpy.types.Scene, thing: bpy.types.Object) -> "Recording":
-        """Of what the .blend holds: no file is asked. Raises DataFormatError: it holds too little."""
+        """Read that of the .blend: no file is asked. Raises DataFormatError: it holds too little."""
         rate, settings, cloud = scene.render.fps / scene.render.fps_base, point_cloud.inputs(thing), None
         if thing.type == "MESH":
             cloud = point_cloud.cloud_of(thing)
@@ -51,7 +51,7 @@ class Recording:
         )
 
     def time_s(self, frame):
-        """Of the recording, at a frame or at an array of frames."""
+        """Return the time of the recording, at a frame or at an array of frames."""
         return (frame - self.start) / self.rate * self.time_scale
 
     @property
@@ -61,7 +61,7 @@ class Recording:
 
 
 class _CloudExport(ExportHelper):
-    """Of the active reconstruction."""
+    """An export of the active reconstruction."""
 
     @classmethod
     def poll(cls, context):
@@ -187,7 +187,7 @@ def _find_packages() -> None:
 
 
 def _with_progress(recording: Recording) -> Iterator[tuple[int, float]]:
-    """Frames and times of a recording, with the share that is done shown at the mouse pointer."""
+    """Yield frames and times of a recording, with the share that is done shown at the mouse pointer."""
     manager = bpy.context.window_manager
     manager.progress_begin(0, len(recording.frames))
     try:
@@ -198,4 +198,33 @@ def _with_progress(recording: Recording) -> Iterator[tuple[int, float]]:
         manager.progress_end()
 
 
-CLASSES = (GOF_OT_export_vdb, GOF_OT_export_points)
+# ----------------------------------------------------------------
+# The active cloud at the current frame as Blender's own Gaussian splats, where the version has them.
+
+
+class GOF_OT_native_splats(bpy.types.Operator):
+    """Add what the selected reconstruction shows at this frame as Blender's own Gaussian splats; they stand still"""
+
+    bl_idname = "gof.native_splats"
+    bl_label = "As Blender's Splats"
+    bl_options = {"UNDO"}
+
+    @classmethod
+    def poll(cls, context):
+        return compat.splat_type() is not None and point_cloud.inputs(context.object) is not None
+
+    def execute(self, context):
+        scene, thing = context.scene, context.object
+        try:
+            recording = Recording.of(scene, thing)
+            now = points.at(recording.cloud, recording.time_s(scene.frame_current_final), recording.least)
+            copy = native_splats.add(now, f"{thing.name} {scene.frame_current}")
+        except (GofError, OSError, RuntimeError, TypeError, MemoryError) as error:
+            self.report({"ERROR"}, str(error) or "not enough memory")
+            return {"CANCELLED"}
+        copy.matrix_world = thing.matrix_world
+        self.report({"INFO"}, f"{len(now):,} splats of frame {np.round(scene.frame_current_final, 2):g}")
+        return {"FINISHED"}
+
+
+CLASSES = (GOF_OT_export_vdb, GOF_OT_export_points, GOF_OT_native_splats)

@@ -31,7 +31,7 @@ class GOF_PG_cameras(bpy.types.PropertyGroup):
     )
     around_frames: IntProperty(
         name="Frames All Around",
-        description="Frames that nine more cameras see from every side and from above, to score what nobody filmed",
+        description="Frames that nine more cameras see from every side and from above, to score unfilmed views",
         default=0,
         min=0,
         soft_max=8,

@@ -25,7 +25,7 @@ class JobOperator:
     """Operator that Esc calls to ask before it ends the job; "" ends it at once."""
 
     def begin(self, context):
-        """A job, ready to run. Raises one of FAILURES that says what to change."""
+        """Return a job, ready to run. Raises one of FAILURES that says what to change."""
         raise NotImplementedError
 
     def finish(self, context, job) -> str:
@@ -99,14 +99,14 @@ class JobOperator:
 
 
 def blender() -> list[str]:
-    """A command that runs Python code in another process of this Blender, without a window."""
+    """Return a command that runs Python code in another process of this Blender, without a window."""
     if getattr(bpy.app, "module", False):  # the bpy wheel: Blender is a module of Python
         return python()
     return [bpy.app.binary_path, "-b", "--factory-startup", "--python-exit-code", "1", "--python-expr"]
 
 
 def _is_playing(context) -> bool:
-    """Whether an animation is played: Esc is its key then."""
+    """Return whether an animation is played: Esc is its key then."""
     return any(window.screen.is_animation_playing for window in context.window_manager.windows)
 
 

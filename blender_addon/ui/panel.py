@@ -1,4 +1,4 @@
-"""What every panel of the tab has in common."""
+"""Parts that every panel of the tab has in common."""
 
 import textwrap
 from pathlib import Path
@@ -18,7 +18,7 @@ class SidebarPanel:
 
 
 def number(layout, owner, name: str, text: str = "", index: int = -1) -> None:
-    """A property with room for its label, which says the unit; Blender's own columns would cut it."""
+    """Draw a property with room for its label, which says the unit; Blender's own columns would cut it."""
     split = layout.split(factor=LABEL, align=True)
     split.use_property_split = False
     label = split.row()
@@ -28,7 +28,7 @@ def number(layout, owner, name: str, text: str = "", index: int = -1) -> None:
 
 
 def vector(layout, owner, name: str, axes: str = "XYZ") -> None:
-    """The parts of a property of several numbers, one below the other: "Size X (m)", "Y (m)"."""
+    """Draw the parts of a property of several numbers, one below the other: "Size X (m)", "Y (m)"."""
     title, _, unit = _rna(owner)[name].name.partition(" (")
     for index in range(_rna(owner)[name].array_length):
         label = f"{title} {axes[index]}" if index == 0 else axes[index]
@@ -62,5 +62,5 @@ def show_text(context, path: Path) -> None:
 
 
 def _rna(owner):
-    """What Blender knows of the properties of a group or an operator."""
+    """Return what Blender knows of the properties of a group or an operator."""
     return getattr(owner, "properties", owner).bl_rna.properties

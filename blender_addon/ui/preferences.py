@@ -46,7 +46,7 @@ class GOF_OT_documentation(bpy.types.Operator):
 
 
 def python() -> str:
-    """The Python for scores that the preferences name, "" where they name none."""
+    """Return the Python for scores that the preferences name, "" where they name none."""
     addon = bpy.context.preferences.addons.get(ADDON)  # None where a script has registered the add-on
     return addon.preferences.python if addon and addon.preferences else ""
 

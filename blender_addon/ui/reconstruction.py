@@ -26,7 +26,7 @@ COLORS = [
     ("age", "Age", "Seconds since its brightest moment"),
     ("lifetime", "Lifetime", "Standard deviation of its fading, s"),
     ("error", "Velocity Error", "m/s against the true velocity; score first (panel Score, Show Errors)"),
-    ("doubt", "Velocity Doubt", "m/s, standard deviation of a component, where the file says it"),
+    ("uncertainty", "Velocity Uncertainty", "m/s, standard deviation of a component, where the file says it"),
 ]
 VECTORS = [
     ("velocity", "Velocity", "Of the gas, as reconstructed"),
@@ -41,7 +41,7 @@ GREY = "Solid view shows no colors"
 
 
 def _enum(socket: str, choices: tuple[str, ...], items: list, **annotations):
-    """An enum that shows and sets one input of the active cloud."""
+    """Return an enum that shows and sets one input of the active cloud."""
 
     def read(self) -> int:
         cloud = point_cloud.inputs(bpy.context.object)
@@ -318,7 +318,7 @@ class GOF_PT_reconstruction(SidebarPanel, bpy.types.Panel):
 
 
 def _shows_no_colors(context) -> bool:
-    """Whether all 3D views of the screen are of a kind that shows no materials."""
+    """Return whether all 3D views of the screen are of a kind that shows no materials."""
     areas = [area for area in (context.screen.areas if context.screen else ()) if area.type == "VIEW_3D"]
     return bool(areas) and all(area.spaces.active.shading.type in COLORLESS for area in areas)
 

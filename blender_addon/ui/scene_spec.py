@@ -27,7 +27,7 @@ SAME_M, SAME_TURN = 1e-5, 1e-5  # differences below which an object stands where
 
 
 def of_settings(scene: bpy.types.Scene) -> SceneSpec:
-    """The spec that the Fire panel describes. Raises SpecError that names what is out of range."""
+    """Return the spec that the Fire panel describes. Raises SpecError that names what is out of range."""
     fire, cameras = scene.gof.fire, scene.gof.fire.cameras
     width, depth, height = map(exact, fire.domain_size)
     burner = Fire(
@@ -65,7 +65,7 @@ def of_settings(scene: bpy.types.Scene) -> SceneSpec:
 
 
 def of_scene(scene: bpy.types.Scene) -> SceneSpec:
-    """The Fire panel's spec with the places of the objects as they are now.
+    """Return the Fire panel's spec with the places of the objects as they are now.
 
     Raises SpecError if a setting is out of range, or an object stands as no spec can say.
     """
@@ -88,7 +88,7 @@ def of_scene(scene: bpy.types.Scene) -> SceneSpec:
 
 
 def with_grids(spec: SceneSpec, grids: Path, start_s: float, radiance: float, lift: float) -> SceneSpec:
-    """The same cameras and pictures of a fire that another solver has made, `lift` above its place (m).
+    """Return the same cameras and pictures of a fire that another solver has made, `lift` above its place (m).
 
     Effects that ask something of our own solver are left out. Raises SpecError if a number is out of range.
     """
@@ -98,7 +98,7 @@ def with_grids(spec: SceneSpec, grids: Path, start_s: float, radiance: float, li
 
 
 def display_of(scene: bpy.types.Scene) -> Display:
-    """The scene's own colour management, where the spec knows it; Filmic otherwise."""
+    """Return the scene's own colour management, where the spec knows it; Filmic otherwise."""
     view = scene.view_settings
     if view.view_transform not in ("Standard", "Filmic", "AgX"):
         return Display()
@@ -106,7 +106,7 @@ def display_of(scene: bpy.types.Scene) -> Display:
 
 
 def _domain(planned: Domain, body: bpy.types.Object, pose: Matrix) -> Domain:
-    """The domain's box. ``pose`` takes the object to the spec's world."""
+    """Return the domain's box. ``pose`` takes the object to the spec's world."""
     turn = np.array(pose.to_3x3().normalized())
     if np.abs(turn - np.eye(3)).max() > 1e-3:
         raise SpecError(
@@ -127,7 +127,7 @@ def _fire(planned: Fire, pose: Matrix) -> Fire:
 
 
 def _rig(planned: Rig, cameras: list[bpy.types.Object], poses: list[Matrix]) -> Rig:
-    """The rig as its cameras stand: on the planned arc, or each where it is."""
+    """Return the rig as its cameras stand: on the planned arc, or each where it is."""
     names = [place.part_of(camera) for camera in cameras]
     if names != planned.names:
         raise SpecError(

@@ -38,7 +38,7 @@ class GOF_PG_score(bpy.types.PropertyGroup):
 
 
 def _cloud(context) -> bpy.types.Object | None:
-    """The cloud in question: the active object, or the cloud that it is a view of."""
+    """Return the cloud in question: the active object, or the cloud that it is a view of."""
     thing = context.object
     if thing is not None and error_cloud.VIEW_OF in thing:
         thing = error_cloud.seen_by(thing)
@@ -132,7 +132,7 @@ class GOF_PT_score(SidebarPanel, bpy.types.Panel):
 
 
 def unregister() -> None:
-    """A job does not outlive the add-on."""
+    """End the job: it does not outlive the add-on."""
     GOF_OT_score.stop_job()
 
 

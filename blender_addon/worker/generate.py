@@ -52,7 +52,7 @@ def bake(spec: SceneSpec, layout: Layout, progress: Reporter) -> None:
         return
     import bpy
 
-    from ..scene import build, flame_edges
+    from ..scene import build, extra_truth
     from ..scene.flame_source import flame_source
 
     shutil.rmtree(layout.bake, ignore_errors=True)
@@ -64,7 +64,7 @@ def bake(spec: SceneSpec, layout: Layout, progress: Reporter) -> None:
     _save_blend(layout)  # the cache folder is relative to the file
     source = flame_source(spec)
     source.bake(layout, progress)
-    cut_off = flame_edges.cut_off(spec, source)
+    cut_off = extra_truth.cut_off(spec, source)
     bpy.context.scene.frame_set(spec.timeline.first_frame)
     _save_blend(layout)
     write_json(layout.bake_marker, {"frames": total, "blender": bpy.app.version_string, "cut_off": cut_off})
@@ -162,7 +162,7 @@ def _files(spec: SceneSpec, layout: Layout) -> list[Path]:
 
 
 def _describe(spec: SceneSpec, layout: Layout) -> DatasetDescription:
-    """The dataset's description, with the cameras of the open scene."""
+    """Return the dataset's description, with the cameras of the open scene."""
     import bpy
 
     from ..scene import rig
@@ -240,7 +240,7 @@ def main(argv: list[str] | None = None) -> int:
 
 
 def run(argv: list[str]) -> None:
-    """One stage as the only work of this process."""
+    """Run one stage as the only work of this process."""
     run_alone(main, argv)
 
 

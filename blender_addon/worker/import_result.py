@@ -31,7 +31,7 @@ from .reporter import Reporter, exit_status, leave
 
 
 def read_spec(dataset: Path) -> SceneSpec:
-    """The scene spec of a generated dataset.
+    """Return the scene spec of a generated dataset.
 
     Raises:
         DataFormatError: no dataset there, one without a scene spec, such as a capture, a broken spec, or one whose
@@ -112,7 +112,7 @@ class CapturedScene:
 
 
 def read_scene(dataset: Path, datum: Datum) -> GeneratedScene | CapturedScene:
-    """What is known of a dataset's scene, a capture's measured from the datum: Blender knows float32 alone.
+    """Return what is known of a dataset's scene, a capture's measured from the datum: Blender knows float32 alone.
 
     Raises DataFormatError as `read_spec`, but not for a capture.
     """

@@ -29,7 +29,8 @@ def main(argv: list[str] | None = None) -> int:
 
 
 def look(spec: scene_spec.SceneSpec) -> list[str]:
-    """What is to be said of the surroundings, which are built as a dataset has them. Raises SpecError: see `build`."""
+    """Return what is to be said of the surroundings, which are built as a dataset has them. Raises SpecError: see
+    `build`."""
     import bpy
     from mathutils import Matrix
 
@@ -45,7 +46,7 @@ def look(spec: scene_spec.SceneSpec) -> list[str]:
 
 
 def run(argv: list[str]) -> None:
-    """One look as the only work of this process, which ends with the one that started it."""
+    """Run one look as the only work of this process, which ends with the one that started it."""
     run_alone(main, argv)
 
 

@@ -1,4 +1,4 @@
-"""What a worker says to the process that started it: progress, and what it cost. What Blender prints goes to a log."""
+"""Messages of a worker to the process that started it: progress, and its costs. Blender's own prints go to a log."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ class Reporter:
 
 def exit_status(work: Callable[[], None], *wrong: type[Exception]) -> int:
     """Do the work, and return the status to end with: 0; 2 where it raised one of `wrong`, which is what its caller can
-    mend and is said in a line; 1 after anything else, with its traceback."""
+    mend and prints one line; 1 after anything else, with its traceback."""
     try:
         work()
     except wrong as error:

@@ -44,7 +44,7 @@ def score(args: argparse.Namespace) -> None:
 
 
 def run(argv: list[str]) -> None:
-    """A score as the only work of this process."""
+    """Run a score as the only work of this process."""
     run_alone(main, argv)
 
 

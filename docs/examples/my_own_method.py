@@ -32,8 +32,8 @@ def state(time_s: float) -> gof.State:
 scores = gof.evaluate(gof.Motion(state), dataset, images=False)
 print(f"L2 {scores.dve.l2:.3f}, cosine similarity {scores.dve.cos_sim:.3f}")
 
-names = ["mine", *scores.controls]
+names = ["mine", *scores.trivial_baselines]
 plt.figure(figsize=(5, 3))
-plt.barh(names[::-1], [c.l2 for c in (scores.dve, *scores.controls.values())][::-1])
+plt.barh(names[::-1], [c.l2 for c in (scores.dve, *scores.trivial_baselines.values())][::-1])
 plt.xlabel("relative L2 of velocity (lower is better)")
 plt.savefig(out / "my_own_method.png", dpi=120, bbox_inches="tight")

@@ -40,7 +40,7 @@ class Plate:
     holes: dict[tuple[int, int], float]
 
     def triangles(self) -> np.ndarray:
-        """(T, 3, 3) mm, counter-clockwise seen from outside."""
+        """Return (T, 3, 3) mm, counter-clockwise seen from outside."""
         found: list[np.ndarray] = []
         n, m = self.height.shape
         levels = np.unique(np.append(self.height, 0.0))  # walls are cut at all of them, to meet edge to edge
@@ -105,7 +105,7 @@ def _cell(lines: np.ndarray, value: float) -> int:
 
 
 def _plate(xs: list[float], ys: list[float], lowered: list, holes: list[tuple[float, float, float]]) -> Plate:
-    """A plate with lines at xs and ys. lowered: (x0, x1, y0, y1, height).   holes: x, y, diameter."""
+    """Return a plate with lines at xs and ys. lowered: (x0, x1, y0, y1, height).   holes: x, y, diameter."""
     x, y = np.unique(np.round(xs, 6)), np.unique(np.round(ys, 6))
     height = np.full((len(x) - 1, len(y) - 1), THICK)
     middle_x, middle_y = (x[1:] + x[:-1]) / 2, (y[1:] + y[:-1]) / 2
@@ -115,7 +115,7 @@ def _plate(xs: list[float], ys: list[float], lowered: list, holes: list[tuple[fl
 
 
 def front(marker_mm: float) -> Plate:
-    """The plate around the marker, seen from the front; y up."""
+    """Return the plate around the marker, seen from the front; y up."""
     board = json.loads(TEMPLATE.read_text(encoding="utf-8"))
     leds = np.array([led["xy"] for led in board["leds"]]) * [marker_mm, -marker_mm]
     low, high = -0.7 * marker_mm, 1.7 * marker_mm

@@ -38,7 +38,7 @@ class Alignment:
 
     @property
     def fps(self) -> float:
-        """Of the aligned videos."""
+        """Return the frame rate of the aligned videos."""
         return float(1 / np.median(np.diff(self.time_s)))
 
     @property
@@ -87,7 +87,7 @@ def write_aligned(out: Path, take: FrameTimesFile, layout: Layout, codec: Codec,
 
 
 def place(layout: Layout, number: int, name: str, trial: str, suffix: str) -> Path:
-    """Where a program looks for the video of camera `number`; docs/capture.md names the sources."""
+    """Return where a program looks for the video of camera `number`; docs/capture.md names the sources."""
     if layout == "pose2sim":
         return Path("videos") / f"cam{number + 1:02d}{suffix}"
     if layout == "freemocap":
@@ -98,7 +98,7 @@ def place(layout: Layout, number: int, name: str, trial: str, suffix: str) -> Pa
 
 
 def _chosen(video: Path, wanted: np.ndarray) -> Iterator[np.ndarray]:
-    """The wanted frames (non-decreasing numbers), one at a time."""
+    """Yield the wanted frames (non-decreasing numbers), one at a time."""
     place = 0
     for k, frame in enumerate(stored_frames(video)):
         while place < len(wanted) and wanted[place] == k:

@@ -11,8 +11,7 @@ from types import MappingProxyType
 import numpy as np
 
 from gof.capture.board_points import BoardPoints
-from gof.capture.locate import BoardNotFound, Summary, locate
-from gof.capture.mask import board_mask
+from gof.capture.locate import BoardInImage, BoardNotFound, Summary, locate
 from gof.capture.template import BoardTemplate
 from gof.core.errors import DataFormatError, GofError
 from gof.core.files import path_in
@@ -89,7 +88,7 @@ def annotate(
 
 
 def training_frames(dataset: Dataset) -> dict[str, Iterable[np.ndarray]]:
-    """Each camera's pictures in which the board is looked for, (H, W, 3) uint8, by its name."""
+    """Return each camera's pictures in which the board is looked for, (H, W, 3) uint8, by its name."""
     return {camera.name: _pictures(dataset, c) for c, camera in enumerate(dataset.cameras)}
 
 
@@ -98,7 +97,7 @@ def _pictures(dataset: Dataset, camera: int) -> Iterable[np.ndarray]:
 
 
 def find_mask(pictures: Iterable[np.ndarray], template: BoardTemplate, points: BoardPoints | None = None) -> np.ndarray:
-    """(H, W) uint8, 255 on the board, from RGB pictures of a fixed camera; `points`: see `locate`.
+    """Return (H, W) uint8, 255 on the board, from RGB pictures of a fixed camera; `points`: see `locate`.
 
     Raises:
         BoardNotFound: the board cannot be found in them.   DataFormatError: the points do not fit a board.
@@ -114,7 +113,7 @@ def find_mask(pictures: Iterable[np.ndarray], template: BoardTemplate, points: B
 def mask_from_footage(
     footage: Path, lens: Lens | None, turn: Turn, template: BoardTemplate, points: BoardPoints | None = None
 ) -> np.ndarray:
-    """The mask as `find_mask` finds it in stored pictures, undistorted and turned as they are.
+    """Return the mask as `find_mask` finds it in stored pictures, undistorted and turned as they are.
 
     Raises:
         BoardNotFound, DataFormatError: not found; the footage is not readable, or of another size than its lens.
@@ -140,3 +139,33 @@ def _write_mask(mask: np.ndarray, size: tuple[int, int], path: Path) -> float:
     mask = cv2.resize(mask, size, interpolation=cv2.INTER_AREA)
     write_picture(path, mask)
     return float((mask > 127).mean())
+
+
+# ----------------------------------------------------------------
+# Soft mask of the LED board: its flicker is neither fire nor an error of a picture.
+
+
+def board_mask(
+    board: BoardInImage, template: BoardTemplate, size: tuple[int, int], margin: float = 0.25, feather: float = 0.35
+) -> np.ndarray:
+    """Return how much each pixel belongs to the board: 1 on it, 0 away from it.
+
+    Args:
+        size: (width, height) of the picture.
+        margin: how far around outline and strips it stays 1, in marker sides; glow reaches further than the board.
+        feather: width of the ramp beyond it, in marker sides, > 0.
+    Returns:
+        (H, W) float32 in [0, 1].
+    """
+    import cv2
+
+    width, height = size
+    covered = np.zeros((height, width), np.uint8)
+    outline = cv2.perspectiveTransform(template.outline.reshape(1, -1, 2), board.marker_to_image)[0]
+    # The strips are mounted off the marker's plane: take them from where they were found.
+    strips = cv2.convexHull(board.strip.reshape(-1, 2).astype(np.float32))[:, 0]
+    for polygon in (outline, strips):
+        cv2.fillPoly(covered, [np.round(polygon - 0.5).astype(np.int32)], 255)
+    side = float(np.linalg.norm(board.corners[0] - board.corners[1]))
+    distance = cv2.distanceTransform(255 - covered, cv2.DIST_L2, 5)
+    return np.clip(1 - (distance - margin * side) / (feather * side), 0, 1).astype(np.float32)

@@ -19,7 +19,7 @@ MOST_MISS = 0.12  # marker sides: by how much a mark may miss; LEDs are three ti
 
 @dataclass(frozen=True)
 class _Marked:
-    """What is marked in one camera: pixels of marker corners 0 to 3, and of LEDs by their Gray bit."""
+    """Marks in one camera: pixels of marker corners 0 to 3, and of LEDs by their Gray bit."""
 
     corners: dict[str, tuple[float, float]]
     leds: dict[str, tuple[float, float]]
@@ -33,7 +33,8 @@ class BoardPoints:
     pixels: np.ndarray
 
     def homography(self) -> np.ndarray:
-        """(3, 3) from marker sides to pixels, least squares. Raises DataFormatError: the points do not fit a board."""
+        """Return (3, 3) from marker sides to pixels, least squares. Raises DataFormatError: the points do not fit a
+        board."""
         import cv2
 
         H, _ = cv2.findHomography(self.xy, self.pixels)
@@ -77,7 +78,7 @@ def read_board_points(path: Path, template: BoardTemplate, names: list[str]) -> 
 def points_on(
     template: BoardTemplate, corners: dict[str, tuple[float, float]], leds: dict[str, tuple[float, float]], where: str
 ) -> BoardPoints:
-    """Marks of marker corners "0" to "3" and of LEDs by Gray bit, pixels, as places on the board.
+    """Return marks of marker corners "0" to "3" and of LEDs by Gray bit, pixels, as places on the board.
 
     Args:
         where: to name in errors.

@@ -16,7 +16,7 @@ BAD_VIEW = 3.0  # times the median reprojection error; such a view was blurred, 
 MINIMUM_TILT_DEG = 4.0  # mean, below which the focal length is OpenCV's first guess (tests: views from one direction)
 MAXIMUM_FOCAL_SPREAD = 0.02  # of the focal length
 LOOK_AT = 8  # pictures, for what a target looks like that is not the one that was said
-DOUBTFUL_RMS_PX, MAXIMUM_RMS_PX = 0.7, 3.0  # sharp footage has 0.1 to 0.3; more is said, or refused
+DOUBTFUL_RMS_PX, MAXIMUM_RMS_PX = 0.7, 3.0  # sharp footage has 0.1 to 0.3; more is a warning, or refused
 ODD_CENTRE = 0.1  # of the picture: where the optical axis may lie beside its middle
 ODD_ASPECT = 0.02  # by which the focal lengths may differ; real cameras' by 0.002
 GRID = (8, 6)  # cells of the picture for the coverage, across and down
@@ -42,7 +42,7 @@ class Calibration:
     old_layout: bool = False
 
     def camera(self, name: str) -> CalibratedCamera:
-        """The entry of cameras.json."""
+        """Return the entry of cameras.json."""
         return CalibratedCamera(
             self.lens.width,
             self.lens.height,
@@ -56,7 +56,7 @@ class Calibration:
         )
 
     def warnings(self) -> list[str]:
-        """What could be better, and how."""
+        """Return what could be better, and how."""
         out = []
         if self.coverage < 0.7:
             out.append(
@@ -89,8 +89,8 @@ class Calibration:
 
 
 def sharpest(frames: Iterable[np.ndarray], count: int) -> list[np.ndarray]:
-    """At least `count` (if there are so many) and fewer than 2 `count` grey pictures spread evenly over (H, W, 3) RGB
-    frames: the sharpest of each stretch, in one pass."""
+    """Return at least `count` (if there are so many) and fewer than 2 `count` grey pictures spread evenly over (H, W,
+    3) RGB frames: the sharpest of each stretch, in one pass."""
     import cv2
 
     kept: list[tuple[float, np.ndarray]] = []
@@ -168,7 +168,8 @@ class _Fit:
 def _find_corners(
     pictures: Iterable[np.ndarray], target: Charuco, progress: Callable[[int], None]
 ) -> tuple[list[_View], tuple[int, int], bool]:
-    """The views that show enough of the target, the pictures' (width, height), and whether it has the old layout."""
+    """Return the views that show enough of the target, the pictures' (width, height), and whether it has the old
+    layout."""
     layouts = (False, True) if target.has_old_layout else (False,)
     found: dict[bool, list[_View]] = {old: [] for old in layouts}
     size, seen, few = None, 0, []
@@ -213,8 +214,8 @@ def _fit(views: list[_View], size: tuple[int, int]) -> _Fit:
 
 
 def _mean_tilt_deg(turns: np.ndarray) -> float:
-    """How far the target's normals are from their mean, on average. Parallel views leave the focal length open; OpenCV
-    then keeps its first guess and calls it certain."""
+    """Return how far the target's normals are from their mean, on average. Parallel views leave the focal length open;
+    OpenCV then keeps its first guess and calls it certain."""
     import cv2
 
     normals = np.stack([cv2.Rodrigues(turn)[0][:, 2] for turn in turns])
@@ -223,7 +224,7 @@ def _mean_tilt_deg(turns: np.ndarray) -> float:
 
 
 def _coverage(views: list[_View], size: tuple[int, int]) -> float:
-    """Share of the picture's cells in which a corner was seen."""
+    """Return share of the picture's cells in which a corner was seen."""
     cells = np.floor(np.concatenate([v.pixels for v in views])[:, 0] / size * GRID).astype(int)
     inside = cells[((cells >= 0) & (cells < GRID)).all(1)]
     return len(np.unique(inside, axis=0)) / (GRID[0] * GRID[1])

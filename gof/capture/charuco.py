@@ -81,7 +81,7 @@ class Charuco:
         return out
 
     def looks_like(self, pictures: list[np.ndarray]) -> str:
-        """What a target that is not found looks like, as a remedy in words; "" where nothing is recognised."""
+        """Return what a target that is not found looks like, as a remedy in words; "" where nothing is recognised."""
         turned = replace(self, columns=self.rows, rows=self.columns)
         if any(turned.corners(p, old) for p in pictures for old in {False, turned.has_old_layout}):
             return f"it looks like --squares {turned.columns}x{turned.rows}"
@@ -106,7 +106,7 @@ def _dictionary(name: str = OWN_DICTIONARY):
 
 
 def _markers(pictures: list[np.ndarray], dictionary: str) -> set[int]:
-    """Numbers of the markers of a dictionary that the pictures show."""
+    """Return numbers of the markers of a dictionary that the pictures show."""
     import cv2
 
     detector = cv2.aruco.ArucoDetector(_dictionary(dictionary), cv2.aruco.DetectorParameters())
@@ -124,7 +124,7 @@ def page(target: Charuco) -> tuple[str, float, float]:
 
 
 def draw_svg(target: Charuco) -> str:
-    """SVG of the page, in mm."""
+    """Return SVG of the page, in mm."""
     _, width, height = page(target)
     x0, y0, note = _place(target)
     out = [
@@ -173,7 +173,7 @@ def draw_pdf(target: Charuco) -> bytes:
 
 
 def _place(target: Charuco) -> tuple[float, float, str]:
-    """Where the pattern's corner is on the page, mm, and the note below it."""
+    """Return where the pattern's corner is on the page, mm, and the note below it."""
     name, width, height = page(target)
     (w, h) = target.size_mm
     note = (

@@ -119,11 +119,11 @@ class Board:
         self._ask(Request.STOP)
 
     def show_test(self, pattern: str, output: int = 0) -> None:
-        """Light "all_off", "all_on", or "one" logical output (0..20) until the next command."""
+        """Show the light "all_off", "all_on", or "one" logical output (0..20) until the next command."""
         self._ask(Request.SHOW_TEST, bytes([("all_off", "all_on", "one").index(pattern), output]))
 
     def self_test(self) -> list[str]:
-        """Names of outputs that read back wrong: stuck, or bridged to another. Stops the board."""
+        """Return names of outputs that read back wrong: stuck, or bridged to another. Stops the board."""
         bad = struct.unpack("<I", self._ask(Request.SELF_TEST).body.ljust(4, b"\0")[:4])[0]
         return [name for i, name in enumerate(OUTPUT_NAMES) if bad >> i & 1]
 
@@ -157,7 +157,7 @@ class Board:
         try:
             self._line.write(frame)
         except serial.SerialTimeoutException:
-            pass  # nobody reads: the missing reply says so
+            pass  # not read: the missing reply says so
         except (serial.SerialException, OSError) as e:
             raise self._unplugged(e) from e
 
@@ -197,7 +197,7 @@ def _ask_port(port: str) -> Board | None:
 
 
 def find_boards() -> list[tuple[str, Identity]]:
-    """(port, identity) of every board that is plugged in."""
+    """Return (port, identity) of every board that is plugged in."""
     return [(board.port, board.identity) for board in ask_ports()]
 
 
@@ -228,7 +228,7 @@ def candidate_ports() -> list[str]:
 
 
 def _keep_lines_on_close(line: Any) -> None:
-    """Closing a port drops its control lines on POSIX systems, which resets some boards; not this one's."""
+    """Keep a port's control lines when it closes: POSIX systems drop them, which resets some boards."""
     if os.name != "posix" or not isinstance(getattr(line, "fd", None), int):
         return
     import termios

@@ -119,7 +119,7 @@ def resolve(count: np.ndarray, phase: np.ndarray, disambiguation: np.ndarray | N
 
 @dataclass(frozen=True)
 class CountVote:
-    """What the LEDs of all frames say together.
+    """The common reading of the LEDs of all frames.
 
     Attributes:
         candidates: periods to add to the frames' times; all agree equally well, smallest first.
@@ -146,7 +146,7 @@ class CountVote:
 def vote(
     template: BoardTemplate, on: np.ndarray, known: np.ndarray, led_time: np.ndarray, period: float, exposure: float
 ) -> CountVote:
-    """The count at which the clip starts, from all frames together.
+    """Return the count at which the clip starts, from all frames together.
 
     Every frame's time is known up to one common number of periods, so one integer explains all LEDs of all frames; each
     candidate's predicted bits are compared with frames whose exposure lies inside one period. Missing LEDs leave
@@ -189,8 +189,8 @@ def vote(
 def lag(
     template: BoardTemplate, on: np.ndarray, known: np.ndarray, led_time: np.ndarray, period: float, exposure: float
 ) -> float | None:
-    """How many periods after their time the LEDs change, -0.5 to 0.5: 0 where strips and LEDs belong together. None
-    where no LED changes often enough to tell.
+    """Return how many periods after their time the LEDs change, -0.5 to 0.5: 0 where strips and LEDs belong together.
+    None where no LED changes often enough to tell.
 
     Args:
         on: (T, L) brightness 0..1.   led_time: (T, L) mid-exposure board time of each LED in each frame, us.
@@ -214,7 +214,7 @@ def lag(
 
 
 def contradiction(board: str, vote: CountVote) -> str:
-    """What to say of LEDs that contradict each other."""
+    """Return what to say of LEDs that contradict each other."""
     return (
         f"no count of board '{board}' explains its LEDs: the best fits {vote.agreement:.1%} of {vote.readings} clean "
         "readings. Is it another board (--board), or is an LED dead, hidden, or wired in "
@@ -223,7 +223,7 @@ def contradiction(board: str, vote: CountVote) -> str:
 
 
 def _best_count(tallies: list[tuple], bits: np.ndarray, counter_bits: int, origin: int) -> CountVote:
-    """The counts at the start that the fewest readings contradict."""
+    """Return the counts at the start that the fewest readings contradict."""
     wrap = 1 << counter_bits
     wrong = np.zeros(wrap)
     for bit, tally in zip(bits, tallies, strict=True):
@@ -237,7 +237,7 @@ def _best_count(tallies: list[tuple], bits: np.ndarray, counter_bits: int, origi
 
 
 def best_counts(wrong: np.ndarray, readings: int, leds: int, origin: int) -> CountVote:
-    """The counts that the fewest readings contradict.
+    """Return the counts that the fewest readings contradict.
 
     Args:
         wrong: (cycle,) readings that each count contradicts.   readings: of all `leds` LEDs together.
@@ -249,6 +249,6 @@ def best_counts(wrong: np.ndarray, readings: int, leds: int, origin: int) -> Cou
 
 
 def _tally(offset: np.ndarray, seen: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Each distinct (offset, reading) and how often it occurs."""
+    """Return each distinct (offset, reading) and how often it occurs."""
     pairs, counts = np.unique(np.stack([offset, seen.astype(np.int64)], 1), axis=0, return_counts=True)
     return pairs[:, 0], pairs[:, 1], counts

@@ -7,11 +7,12 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from gof.capture import clock, counter, strips
+from gof.capture.clock import WANDER, board_seen, only_frames, positions, wander_us
 from gof.capture.counter import CountVote
-from gof.capture.hidden import WANDER, board_seen, only_frames, positions, wander_us
 from gof.capture.signals import Signals
 from gof.capture.strips import NotDecodable, StripFit, StripReadings
 from gof.capture.template import BoardTemplate
+from gof.capture.times import Readout
 
 MIN_WEIGHT = 0.05  # in the robust line; frames below are outliers
 MOST_LAG = 0.1  # periods between strips and counter; half a strip's slot
@@ -20,17 +21,17 @@ MIN_SPAN_PX = 60  # of a strip along the readout, to measure the row time from
 CLEAR_DELAY_US = 40.0  # along a strip: two bins of the learned curves, enough to tell a direction
 USUAL_EXPOSURE = 0.35  # of the period, where the strips do not show it
 EXPOSURE_MARGIN, EXPOSURE_ADD_US = 1.15, 100.0  # the estimate is good to about 15 %
-READOUT = {(0, 1): "right", (0, -1): "left", (1, 1): "down", (1, -1): "up"}
+READOUT: dict[tuple[int, int], Readout] = {(0, 1): "right", (0, -1): "left", (1, 1): "down", (1, -1): "up"}
 
 
 @dataclass(frozen=True)
 class DecodeOptions:
-    """What is known beforehand; None = estimated from the footage."""
+    """Facts known beforehand; None = estimated from the footage."""
 
     period_us: float = 4000.0
     fps: float | None = None
     row_time_us: float | None = None  # per image line, >= 0
-    readout: str | None = None  # down, up, left, right
+    readout: Readout | None = None
     clock: str = "steady"  # "steady" or "free"
     iterations: int = 6  # rounds of learning the strips' curves and the frames' times from each other
 
@@ -65,7 +66,7 @@ class CameraTimes:
     rms_us: float
     max_us: float
     row_time_us: float
-    readout: str
+    readout: Readout
     exposure_us: float | None
     saturation: float | None
     count_candidates: np.ndarray
@@ -98,12 +99,12 @@ def decode(signals: Signals, template: BoardTemplate, options: DecodeOptions) ->
 
 
 def carried_over(found: CameraTimes, shown: np.ndarray) -> CameraTimes:
-    """Times of all frames from those of the frames that show the board, by the camera's clock.
+    """Return times of all frames from those of the frames that show the board, by the camera's clock.
 
     Args:
         shown: (T,) bool.
     """
-    index, doubts = positions(shown, found.clock_index)
+    index, warnings = positions(shown, found.clock_index)
     start = found.time_us[0] - found.clock_index[0] * found.interval_us
     time = start + found.interval_us * index
     measured, used = time.copy(), np.zeros(len(time), bool)
@@ -123,7 +124,7 @@ def carried_over(found: CameraTimes, shown: np.ndarray) -> CameraTimes:
         used=used,
         clock_index=index,
         hidden=hidden,
-        warnings=[*found.warnings, said, *doubts],
+        warnings=[*found.warnings, said, *warnings],
     )
 
 
@@ -288,7 +289,7 @@ def _learn(
 def _fuse(
     fit: StripFit, index: np.ndarray, interval_us: float, repeated: np.ndarray, options: DecodeOptions
 ) -> _FusedTimes:
-    """A robust line through all frames; each frame's own time where the clock is not steady."""
+    """Return a robust line through all frames; each frame's own time where the clock is not steady."""
     if not options.steady:
         return _FusedTimes(fit.time, fit.time, ~repeated, interval_us)
     line = strips.robust_line(index, fit.time, fit.sigma)[0]
@@ -304,7 +305,7 @@ def _vote(
     exposure: tuple[float, float] | None,
     period: float,
 ) -> CountVote:
-    """The LEDs of all frames vote on the count at which the clip starts."""
+    """Return the LEDs of all frames vote on the count at which the clip starts."""
     exposure_us = exposure[0] if exposure else USUAL_EXPOSURE * period
     return counter.vote(
         template, read.on, read.known, led_time, period, EXPOSURE_MARGIN * exposure_us + EXPOSURE_ADD_US
@@ -335,7 +336,7 @@ def _warnings(
 def _strip_readings(
     signals: Signals, template: BoardTemplate, options: DecodeOptions
 ) -> tuple[StripReadings, np.ndarray]:
-    """The strips' brightness along the readout, and (L,) the LEDs' places on that axis relative to the picture's
+    """Return the strips' brightness along the readout, and (L,) the LEDs' places on that axis relative to the picture's
     centre."""
     value, usable = strips.normalise(signals.strip, signals.board.strip_visible)
     if options.readout:
@@ -385,7 +386,7 @@ def _interval(options: DecodeOptions, count: np.ndarray, bits: int, phase: np.nd
 
 
 def line_sigma(index: np.ndarray, used: np.ndarray, residual: np.ndarray, count: int) -> np.ndarray:
-    """Standard error of the fitted line at each frame."""
+    """Return standard error of the fitted line at each frame."""
     n = max(int(used.sum()), 2)
     i = index - index[used].mean() if used.any() else index - index.mean()
     spread = max(float((i[used] ** 2).sum()), 1.0)

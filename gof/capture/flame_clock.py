@@ -33,7 +33,7 @@ class NoFlameClock(GofError):
 
 @dataclass(frozen=True)
 class FlameLight:
-    """What a camera saw of the fire.
+    """The fire's light as one camera saw it.
 
     Attributes:
         along: for either axis of the picture (x, y): (T, N) fire light of each frame in N bins of BIN_PX along it.
@@ -77,7 +77,8 @@ def _binned(line: np.ndarray) -> np.ndarray:
 
 
 def find_offset(known: FlameLight, other: FlameLight) -> Offset:
-    """The lag at which the light of two cameras of one frame rate agrees best, along the axis where it agrees better.
+    """Return the lag at which the light of two cameras of one frame rate agrees best, along the axis where it agrees
+    better.
 
     Raises NoFlameClock: fewer than 24 frames, no fire, or no agreement.
     """
@@ -105,7 +106,8 @@ def _best_lag(known: np.ndarray, other: np.ndarray) -> Offset:
 
 
 def _changes(light: np.ndarray) -> np.ndarray:
-    """(T, N) how the light differs from its mean over time; the root keeps the base from outweighing the tips."""
+    """Return (T, N) how the light differs from its mean over time; the root keeps the base from outweighing the
+    tips."""
     root = np.sqrt(np.maximum(light, 0.0))
     return root - root.mean(0)
 
@@ -140,7 +142,7 @@ def _agreement(a: np.ndarray, b: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _peak(values: np.ndarray, k: int) -> float:
-    """Of the parabola through three values, from the middle one."""
+    """Return the place of the peak of the parabola through three values, from the middle one."""
     if not 0 < k < len(values) - 1:
         return 0.0
     a, b, c = values[k - 1 : k + 2]
@@ -149,7 +151,7 @@ def _peak(values: np.ndarray, k: int) -> float:
 
 
 def estimate_times(video: Path, light: FlameLight, known: dict[str, tuple[Path, VideoTimes, FlameLight]]) -> VideoTimes:
-    """Times of a camera without the board, from all cameras that have it.
+    """Return times of a camera without the board, from all cameras that have it.
 
     Every camera votes, weighted by agreement; their spread, and at least the error on the published clips, is the
     uncertainty. The camera is taken to have the others' frame interval, row time and readout, and no gaps: nothing
@@ -188,7 +190,7 @@ def estimate_times(video: Path, light: FlameLight, known: dict[str, tuple[Path, 
 
 
 def _on_clock(light: FlameLight, times: VideoTimes) -> FlameLight:
-    """The light at equal steps of the camera's clock: gaps are filled, repeats left out."""
+    """Return the light at equal steps of the camera's clock: gaps are filled, repeats left out."""
     at = np.array([frame.time_s for frame in times.frames]) * 1e6
     index = (at - at[0]) / times.frame_interval_us
     steps = np.arange(round(index[-1]) + 1)

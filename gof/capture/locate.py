@@ -7,7 +7,6 @@ from dataclasses import dataclass
 import numpy as np
 
 from gof.capture.board_points import BoardPoints
-from gof.capture.brightness import sample, white
 from gof.capture.template import BoardTemplate
 from gof.core.errors import GofError
 
@@ -128,8 +127,8 @@ def locate(
 
 
 def _refined(points: BoardPoints, summary: Summary) -> BoardPoints:
-    """A user's marks, a pixel or two off, moved to the corners and the LEDs that they mean: the strips lie several
-    marker sides away, where such an error would be as large as their distance."""
+    """Return a user's marks, a pixel or two off, moved to the corners and the LEDs that they mean: the strips lie
+    several marker sides away, where such an error would be as large as their distance."""
     import cv2
 
     H = points.homography()  # or it says that these are no points of a board
@@ -150,7 +149,7 @@ def _refined(points: BoardPoints, summary: Summary) -> BoardPoints:
 
 
 def find_marker(summary: Summary, template: BoardTemplate) -> np.ndarray:
-    """(4, 2) corners of the template's marker in continuous pixel coordinates.
+    """Return (4, 2) corners of the template's marker in continuous pixel coordinates.
 
     Raises: MarkerNotFound: it is in none of the pictures, at half, one or two times their size.
     """
@@ -168,8 +167,8 @@ def find_marker(summary: Summary, template: BoardTemplate) -> np.ndarray:
 
 
 def marker_in(picture: np.ndarray, number: int, inverted: bool, scale: float = 1) -> np.ndarray | None:
-    """(4, 2) corners of the marker with this number in a grey (H, W) picture, looked for at `scale` times its size; in
-    continuous pixel coordinates of the picture as it is. None where it is not seen."""
+    """Return (4, 2) corners of the marker with this number in a grey (H, W) picture, looked for at `scale` times its
+    size; in continuous pixel coordinates of the picture as it is. None where it is not seen."""
     import cv2
 
     parameters = cv2.aruco.DetectorParameters()
@@ -189,14 +188,14 @@ def marker_in(picture: np.ndarray, number: int, inverted: bool, scale: float = 1
 
 
 def project(H: np.ndarray, xy: np.ndarray) -> np.ndarray:
-    """Points (..., 2) through a homography (3, 3)."""
+    """Return points (..., 2) through a homography (3, 3)."""
     import cv2
 
     return cv2.perspectiveTransform(np.asarray(xy, np.float64).reshape(1, -1, 2), H).reshape(np.shape(xy))
 
 
 def in_picture(points: np.ndarray, width: int, height: int, margin: float) -> np.ndarray:
-    """(...) bool: points (..., 2) in the picture, `margin` px from its border or more; False where NaN."""
+    """Return (...) bool: points (..., 2) in the picture, `margin` px from its border or more; False where NaN."""
     x, y = points[..., 0], points[..., 1]
     return (x >= margin) & (y >= margin) & (x <= width - margin) & (y <= height - margin)
 
@@ -239,7 +238,7 @@ class _Comb:
     gaps: np.ndarray
 
     def at(self, places: np.ndarray) -> np.ndarray:
-        """(..., J, 2) px: points `places` (..., J or 1) spacings across from the middle."""
+        """Return (..., J, 2) px: points `places` (..., J or 1) spacings across from the middle."""
         return places[..., None] * (self.spacing[:, None] * self.normal) + self.middle
 
 
@@ -280,7 +279,7 @@ def _predicted_comb(template: BoardTemplate, H: np.ndarray, samples: int) -> _Co
 
 
 def _fit_comb(flicker: np.ndarray, comb: _Comb) -> tuple[float, np.ndarray]:
-    """One stretch for the board; one curve of shifts (J,) in spacings, quadratic along the strips.
+    """Return one stretch for the board; one curve of shifts (J,) in spacings, quadratic along the strips.
 
     That along which most of the comb is seen, then refined without outliers. Where the comb leaves the picture, or ends
     before the template has it end, nothing is seen and nothing bends the curve.
@@ -313,7 +312,8 @@ def _fit_comb(flicker: np.ndarray, comb: _Comb) -> tuple[float, np.ndarray]:
 
 
 def _comb_score(flicker: np.ndarray, comb: _Comb, stretch: float) -> np.ndarray:
-    """(SHIFTS, J) how much brighter teeth are than gaps with the comb shifted; 0 where it is not in the picture."""
+    """Return (SHIFTS, J) how much brighter teeth are than gaps with the comb shifted; 0 where it is not in the
+    picture."""
     height, width = flicker.shape
     means = []
     for part in (comb.teeth, comb.gaps):
@@ -327,7 +327,8 @@ def _comb_score(flicker: np.ndarray, comb: _Comb, stretch: float) -> np.ndarray:
 
 
 def _brightest_curve(score: np.ndarray) -> tuple[np.ndarray, float]:
-    """(J,) the quadratic curve of shifts with the greatest mean score, of a grid of tilts and bends; and that mean."""
+    """Return (J,) the quadratic curve of shifts with the greatest mean score, of a grid of tilts and bends; and that
+    mean."""
     u = np.linspace(-1, 1, score.shape[1])
     step = SHIFTS[1] - SHIFTS[0]
     few = slice(None, None, 3)  # points; the curve is refined with all
@@ -346,7 +347,8 @@ def _brightest_curve(score: np.ndarray) -> tuple[np.ndarray, float]:
 
 
 def _towards_ridge(flicker: np.ndarray, comb: _Comb, strip: np.ndarray) -> np.ndarray:
-    """(J, 2) px from one strip's points to the ridge of its own light, smooth along it; 0 where little is seen."""
+    """Return (J, 2) px from one strip's points to the ridge of its own light, smooth along it; 0 where little is
+    seen."""
     height, width = flicker.shape
     fine = np.linspace(-0.35, 0.35, 29)  # spacings: within the strip's own half
     across = comb.spacing[:, None] * comb.normal
@@ -357,3 +359,31 @@ def _towards_ridge(flicker: np.ndarray, comb: _Comb, strip: np.ndarray) -> np.nd
         return np.zeros_like(strip)
     centre = (ridge * fine[:, None]).sum(0)[ok] / weight[ok]
     return np.polyval(np.polyfit(comb.s[ok], centre, 2), comb.s)[:, None] * across
+
+
+# ----------------------------------------------------------------
+# The brightness that the decoder needs: the smallest colour channel, which white LEDs fill and flames do not.
+
+
+def white(frame: np.ndarray) -> np.ndarray:
+    """Return (H, W) uint8: the smallest colour channel."""
+    import cv2
+
+    if frame.ndim == 2:
+        return frame
+    a, b, c = cv2.split(frame)
+    return cv2.min(cv2.min(a, b), c)
+
+
+def sample(image: np.ndarray, points: np.ndarray) -> np.ndarray:
+    """Return bilinear values of an (H, W) image at continuous pixel coordinates (..., 2) (centres at integer + 0.5);
+    points outside take the nearest edge pixel."""
+    import cv2
+
+    flat = np.asarray(points, np.float32).reshape(-1, 2) - np.float32(0.5)
+    columns = 4096  # OpenCV maps are limited to 32767 entries per side
+    rows = -(-len(flat) // columns)
+    maps = np.zeros((2, rows * columns), np.float32)
+    maps[:, : len(flat)] = flat.T
+    values = cv2.remap(image, *maps.reshape(2, rows, columns), cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+    return values.reshape(-1)[: len(flat)].reshape(np.shape(points)[:-1]).astype(np.float32)

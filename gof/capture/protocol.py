@@ -34,7 +34,7 @@ class Request(IntEnum):
 
 
 class ReplyStatus(IntEnum):
-    """What became of a request."""
+    """The outcome of a request."""
 
     OK = 0
     UNKNOWN = 1
@@ -44,7 +44,7 @@ class ReplyStatus(IntEnum):
 
 
 class State(IntEnum):
-    """What the board is doing."""
+    """The board's present activity."""
 
     STOPPED = 0
     ARMED = 1
@@ -62,7 +62,7 @@ def crc16(data: bytes) -> int:
 
 
 def encode_frame(payload: bytes) -> bytes:
-    """The frame of a payload of at most PAYLOAD_MAX bytes.
+    """Return the frame of a payload of at most PAYLOAD_MAX bytes.
 
     Raises:
         ValueError: the payload is longer.
@@ -74,7 +74,7 @@ def encode_frame(payload: bytes) -> bytes:
 
 
 def decode_frame(frame: bytes) -> bytes | None:
-    """The payload of a frame without its final zero; None when it is damaged or too short."""
+    """Return the payload of a frame without its final zero; None when it is damaged or too short."""
     out, i = bytearray(), 0
     while i < len(frame):
         code = frame[i]
@@ -137,7 +137,7 @@ class Reply:
 
 
 def decode_reply(payload: bytes) -> Reply | None:
-    """The reply in a payload; None when it is not a reply."""
+    """Return the reply in a payload; None when it is not a reply."""
     if len(payload) < 4 or not payload[2] & 0x80:
         return None
     return Reply(payload[0], payload[1], payload[2] & 0x7F, payload[3], payload[4:])
@@ -145,7 +145,7 @@ def decode_reply(payload: bytes) -> Reply | None:
 
 @dataclass(frozen=True)
 class Identity:
-    """What a board says it is. `outputs` are the logical outputs it has pins for."""
+    """A board's description of itself. `outputs` are the logical outputs it has pins for."""
 
     name: str
     strips: int
@@ -156,7 +156,7 @@ class Identity:
 
     @classmethod
     def decode(cls, body: bytes) -> Identity:
-        """Raises: ProtocolError for a body this version does not know."""
+        """Decode a body. Raises ProtocolError for a body this version does not know."""
         if len(body) < 9 or not body[8:].startswith(b"gof-board "):
             raise ProtocolError("the device answers, but not as a gof LED board; flash it (docs/capture_board.md)")
         name, (strips, gray_bits, slot, period) = body[8:].decode("ascii", "replace"), body[:4]
@@ -183,7 +183,7 @@ class Status:
 
     @classmethod
     def decode(cls, body: bytes) -> Status:
-        """Raises: ProtocolError for a body this version does not know."""
+        """Decode a body. Raises ProtocolError for a body this version does not know."""
         try:
             state, *rest = struct.unpack("<BBIIIIiiII", body)
             return cls(State(state), *rest)

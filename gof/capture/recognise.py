@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from itertools import islice
+from pathlib import Path
 
 import numpy as np
 
@@ -25,6 +26,7 @@ from gof.capture.ring_board import RING_BOARDS, RingBoard, load_board
 from gof.capture.ring_signals import find_board, read_frame
 from gof.capture.template import BUILT_IN, BoardTemplate
 from gof.core.errors import GofError
+from gof.footage.videos import distinct_names, stored_frames
 
 AUTO = "auto"
 LOOK_AT = 160  # frames
@@ -61,15 +63,15 @@ class _Likeness:
 
 
 def known_boards() -> list[Board]:
-    """Every built-in board."""
+    """Return every built-in board."""
     return [load_board(name) for name in (*BUILT_IN, *RING_BOARDS)]
 
 
 def recognise(choice: str, footage: Mapping[str, Iterable[np.ndarray]], rings: bool = True) -> Board | None:
-    """The board that the footage shows, by the cameras that see its whole marker.
+    """Return the board that the footage shows, by the cameras that see its whole marker.
 
     Args:
-        choice: "auto", or the name or file of a board that is said to be there.
+        choice: "auto", or the name or file of a board that the user names.
         footage: each camera's frames, RGB or grey, by its name; the first ones are looked at.
         rings: whether to look for ring boards too.
     Returns:
@@ -107,7 +109,7 @@ def recognise(choice: str, footage: Mapping[str, Iterable[np.ndarray]], rings: b
 
 
 def _compare(frames: Iterable[np.ndarray], boards: list[Board]) -> dict[str, _Likeness]:
-    """One camera's footage with every board whose marker it shows, by the board's name."""
+    """Return one camera's footage with every board whose marker it shows, by the board's name."""
     summary, pictures = Summary(), []
     for count, frame in enumerate(islice(frames, LOOK_AT)):
         summary.add(frame)
@@ -139,7 +141,7 @@ def _corners(summary: Summary, board: BoardTemplate) -> np.ndarray | None:
 
 
 def _strip_likeness(summary: Summary, board: BoardTemplate, corners: np.ndarray) -> _Likeness:
-    """What blinks beside the marker, against the template's LEDs."""
+    """Return what blinks beside the marker, against the template's LEDs."""
     import cv2
 
     H, _ = cv2.findHomography(MARKER_CORNERS, corners)
@@ -152,7 +154,7 @@ def _strip_likeness(summary: Summary, board: BoardTemplate, corners: np.ndarray)
 
 
 def _ring_likeness(pictures: list[np.ndarray], board: RingBoard) -> _Likeness | None:
-    """Whether LEDs of the ring shine, and others not, in most of the pictures that show its marker."""
+    """Return whether LEDs of the ring shine, and others not, in most of the pictures that show its marker."""
     lit = []
     for picture in pictures:
         red = np.ascontiguousarray(picture[..., 0]) if picture.ndim == 3 else picture
@@ -167,7 +169,7 @@ def _ring_likeness(pictures: list[np.ndarray], board: RingBoard) -> _Likeness | 
 
 
 def _verdict(likeness: dict[str, _Likeness], boards: list[Board]) -> Board | None:
-    """The board that fits clearly better than the others; the first of those that lie the same."""
+    """Return the board that fits clearly better than the others; the first of those that lie the same."""
     fitting = [board for board in boards if board.name in likeness and likeness[board.name].fits]
     if not fitting:
         return None
@@ -177,7 +179,7 @@ def _verdict(likeness: dict[str, _Likeness], boards: list[Board]) -> Board | Non
 
 
 def _differ(one: Board, other: Board) -> bool:
-    """Whether two boards' lights lie in different places; copies of one template do not."""
+    """Return whether two boards' lights lie in different places; copies of one template do not."""
     return type(one) is not type(other) or not (
         one.led_xy.shape == other.led_xy.shape and np.allclose(one.led_xy, other.led_xy, atol=1e-3)
     )
@@ -199,7 +201,7 @@ def _require_chosen(chosen: Board, found: Board | None, likeness: dict[str, dict
 
 
 def _evidence(likeness: dict[str, dict[str, _Likeness]]) -> str:
-    """What every camera says of every board, in words."""
+    """Return what every camera says of every board, in words."""
     said = []
     for camera, found in likeness.items():
         each = [
@@ -213,7 +215,7 @@ def _evidence(likeness: dict[str, dict[str, _Likeness]]) -> str:
 
 
 def require_strips(board: Board | None, for_what: str) -> BoardTemplate:
-    """The board, for those who read strips. Raises BoardNotFound: there is none, or it is a ring board."""
+    """Return the board, for those who read strips. Raises BoardNotFound: there is none, or it is a ring board."""
     if isinstance(board, BoardTemplate):
         return board
     if board is None:
@@ -221,3 +223,12 @@ def require_strips(board: Board | None, for_what: str) -> BoardTemplate:
             "no camera shows the marker of an LED board: is it whole, lit, and at least about 20 pixels wide?"
         )
     raise BoardNotFound(f"'{board.name}' is a ring board, which gives times only; {for_what} needs a board with strips")
+
+
+# ----------------------------------------------------------------
+# The first frames of the footage of each camera, in which a board is recognised.
+
+
+def first_frames(videos: list[Path]) -> dict[str, Iterable[np.ndarray]]:
+    """Return each video's first frames, read when they are asked for, by the camera's name."""
+    return dict(zip(distinct_names(videos), (islice(stored_frames(video), LOOK_AT) for video in videos), strict=True))

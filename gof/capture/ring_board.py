@@ -117,12 +117,12 @@ class RingBoard:
 
     @property
     def period_us(self) -> float:
-        """Of a round."""
+        """Return the period of a round."""
         return self.step_us * len(self.led_xy)
 
     @classmethod
     def load(cls, name: str | Path) -> RingBoard:
-        """A built-in board by name ("rocsync") or a JSON file.
+        """Return a built-in board by name ("rocsync") or a JSON file.
 
         Raises:
             DataFormatError: no such file, or a field is missing or malformed.
@@ -154,7 +154,7 @@ class RingBoard:
 
 
 def load_board(name: str | Path) -> BoardTemplate | RingBoard:
-    """A board of either kind: built-in, or a JSON file that says by its schema which it is.
+    """Return a board of either kind: built-in, or a JSON file that says by its schema which it is.
 
     Raises:
         DataFormatError: as `BoardTemplate.load` and `RingBoard.load`.

@@ -56,14 +56,14 @@ class _Arc:
         return np.clip((self.half - np.abs(off)) / self.ramp + 0.5, 0, 1)
 
     def slope(self, off: np.ndarray) -> np.ndarray:
-        """Of `light`, along `off`."""
+        """Return the slope of `light` along `off`."""
         on_ramp = np.abs(np.abs(off) - self.half) < self.ramp / 2
         return -np.sign(off) * on_ramp / self.ramp
 
 
 @dataclass(frozen=True)
 class _Ring:
-    """What the ring shows, in steps and shares.
+    """The arc that a ring shows, in steps and shares.
 
     Attributes:
         light: (T, L) 0 dark to 1 lit.   usable: (T, L) bool, in the picture and not hidden.
@@ -77,7 +77,7 @@ class _Ring:
     step_us: float
 
     def off(self, time_us: np.ndarray, arc: _Arc) -> np.ndarray:
-        """(T, L) steps from each LED's own middle to the exposure's, where and when the camera sees it."""
+        """Return (T, L) steps from each LED's own middle to the exposure's, where and when the camera sees it."""
         leds = self.light.shape[1]
         seen_at = time_us[:, None] + self.place @ arc.delay
         return clock.wrap(seen_at / self.step_us - (np.arange(leds) + 0.5), leds)
@@ -159,7 +159,7 @@ def _decode_shown(signals: RingSignals, board: RingBoard, options: DecodeOptions
 
 
 def _first_guess(ring: _Ring) -> tuple[_Arc, np.ndarray]:
-    """The arc's length, and (T,) us modulo a round at which each frame shows it."""
+    """Return the arc's length, and (T,) us modulo a round at which each frame shows it."""
     leds = ring.light.shape[1]
     lit = float(np.percentile((np.where(ring.usable, ring.light, 0) > 0.5).sum(1), 75))
     if lit > MOST_LIT * leds:
@@ -209,7 +209,7 @@ def _read_counter(signals: RingSignals, bright: float) -> _CounterRead:
 def _link(
     phase: np.ndarray, read: _CounterRead, repeated: np.ndarray, board: RingBoard, options: DecodeOptions
 ) -> tuple[np.ndarray, np.ndarray, float]:
-    """(T,) positions on the camera's clock, (T,) times there up to whole rounds, and the interval in us."""
+    """Return (T,) positions on the camera's clock, (T,) times there up to whole rounds, and the interval in us."""
     period = board.period_us
     counted = read.bits >= MIN_BITS
     cycle = 1 << read.bits
@@ -272,7 +272,7 @@ def _fit(
 def _fit_shared(
     ring: _Ring, arc: _Arc, time: np.ndarray, index: np.ndarray, axes: tuple[int, ...]
 ) -> tuple[_Arc, np.ndarray, np.ndarray]:
-    """Least squares over all LEDs near the arcs.
+    """Return least squares over all LEDs near the arcs.
 
     Args:
         axes: of the lines' delay that is fitted.
@@ -323,7 +323,7 @@ def _without_hidden(ring: _Ring, arc: _Arc, time: np.ndarray) -> _Ring:
 
 
 def _own_times(ring: _Ring, arc: _Arc, time: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """(T,) us each frame's own time near `time`, and its standard error."""
+    """Return (T,) us each frame's own time near `time`, and its standard error."""
     shifts = np.linspace(-REACH, REACH, 81)
     off = ring.off(time, arc)
     cost = np.stack(
@@ -346,7 +346,8 @@ def _own_times(ring: _Ring, arc: _Arc, time: np.ndarray) -> tuple[np.ndarray, np
 def _vote(
     signals: RingSignals, read: _CounterRead, at_us: np.ndarray, board: RingBoard, exposure_us: float
 ) -> CountVote:
-    """The round in which the clip starts, from the counters of all frames together: one number explains them all.
+    """Return the round in which the clip starts, from the counters of all frames together: one number explains them
+    all.
 
     Args:
         at_us: (T, B) mid-exposure of each counter LED, up to that number of rounds.
@@ -377,7 +378,8 @@ def _vote(
 
 
 def _curve(ring: _Ring, time: np.ndarray, arc: _Arc) -> np.ndarray:
-    """(1, L) mean brightness of the LEDs by how long before or after its middle they were lit, one step a bin."""
+    """Return (1, L) mean brightness of the LEDs by how long before or after its middle they were lit, one step a
+    bin."""
     leds = ring.light.shape[1]
     bin_ = np.floor(ring.off(time, arc)[ring.usable] + leds / 2).astype(int) % leds
     total = np.bincount(bin_, ring.light[ring.usable], leds)

@@ -9,8 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
-from gof.capture.brightness import sample
-from gof.capture.locate import MARKER_CORNERS, bright_spots, in_picture, marker_in, project
+from gof.capture.locate import MARKER_CORNERS, bright_spots, in_picture, marker_in, project, sample
 from gof.capture.ring_board import RingBoard
 from gof.footage.videos import stored_frames
 
@@ -23,7 +22,7 @@ BLINK = 40.0  # grey levels by which a counter's LED changes: not the same round
 
 @dataclass(frozen=True)
 class RingSignals:
-    """What T frames show of a ring board.
+    """The readings of a ring board in T frames.
 
     Attributes:
         seen: (T,) bool, frames in which the board was found; the rest holds NaN or False elsewhere.
@@ -48,7 +47,7 @@ class RingSignals:
     marker_px: float
 
     def among(self, frames: np.ndarray) -> RingSignals:
-        """Of the chosen frames (T,) bool. After a gap nothing counts as repeated."""
+        """Return those of the chosen frames (T,) bool. After a gap nothing counts as repeated."""
         kept = np.flatnonzero(frames)
         duplicate = self.duplicate[kept] & np.concatenate([[False], np.diff(kept) == 1])
         each = (self.led, self.led_px, self.led_inside, self.counter, self.counter_px, self.counter_inside)
@@ -73,7 +72,7 @@ def read_ring_signals(video: Path, board: RingBoard, progress: Callable[[int], N
 
 
 def find_board(frame: np.ndarray, red: np.ndarray, board: RingBoard, before: np.ndarray | None) -> np.ndarray | None:
-    """(3, 3) homography from marker sides to pixels of a frame; None where the board is not in it.
+    """Return (3, 3) homography from marker sides to pixels of a frame; None where the board is not in it.
 
     Args:
         frame: (H, W, 3) or (H, W).   red: (H, W) its red channel.
@@ -101,7 +100,7 @@ def find_board(frame: np.ndarray, red: np.ndarray, board: RingBoard, before: np.
 
 
 def _near(grey: np.ndarray, board: RingBoard, homography: np.ndarray) -> np.ndarray | None:
-    """The marker's corners (4, 2) around the place where the board was; None where it is not there."""
+    """Return the marker's corners (4, 2) around the place where the board was; None where it is not there."""
     outline = project(homography, board.outline)
     low, high = outline.min(0), outline.max(0)
     low, high = low - (high - low) / 4, high + (high - low) / 4

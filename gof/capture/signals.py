@@ -9,9 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from gof.capture.board_points import BoardPoints
-from gof.capture.brightness import sample, white
-from gof.capture.locate import BoardInImage, MarkerNotFound, Summary, locate
-from gof.capture.marker import marker_likeness, marker_pattern
+from gof.capture.locate import BoardInImage, MarkerNotFound, Summary, locate, sample, white
 from gof.capture.template import BoardTemplate
 from gof.footage.videos import stored_frames
 
@@ -28,7 +26,7 @@ class Signals:
         duplicate: (T,) True where the board's picture repeats the frame before exactly or nearly.
         image_size: (width, height).
         board: where the points are.
-        marker: (T,) how much each frame looks like the marker where it was found, -1..1; None where nobody looked.
+        marker: (T,) how much each frame looks like the marker where it was found, -1..1; None where not looked for.
     """
 
     strip: np.ndarray
@@ -89,7 +87,7 @@ def read_signals(
 
 
 def sample_frame(image: np.ndarray, board: BoardInImage) -> tuple[np.ndarray, np.ndarray]:
-    """(S, J) strip and (L,) LED brightness of one (H, W) white image."""
+    """Return (S, J) strip and (L,) LED brightness of one (H, W) white image."""
     around = np.array([-1.0, 0.0, 1.0])
     strip = sample(image, board.strip[None] + around[:, None, None, None] * board.strip_normal).mean(0)
     offsets = np.stack(np.meshgrid(around, around), -1).reshape(-1, 1, 2)
@@ -105,3 +103,31 @@ def make_signals(strip: np.ndarray, led: np.ndarray, image_size: tuple[int, int]
     blinked = np.abs(np.diff(led, axis=0))[:, seen].max(1) > LED_CHANGE if seen.any() else np.zeros(len(led) - 1, bool)
     duplicate = np.concatenate([[False], (step < 0.06 * np.median(step)) & ~blinked])
     return Signals(strip, led, duplicate, image_size, board)
+
+
+# ----------------------------------------------------------------
+# Whether a frame shows the marker where it was found.
+
+CELL_SAMPLES = 4  # per marker cell and direction
+
+
+def marker_pattern(template: BoardTemplate) -> np.ndarray:
+    """Return (6, 6) the marker's cells, 1 light and 0 dark."""
+    import cv2
+
+    dictionary = cv2.aruco.getPredefinedDictionary(cv2.aruco.DICT_4X4_50)
+    light = cv2.aruco.generateImageMarker(dictionary, template.marker_id, 6) > 0
+    return (light != template.inverted).astype(float)
+
+
+def marker_likeness(image: np.ndarray, board: BoardInImage, pattern: np.ndarray) -> float:
+    """Correlation of an (H, W) image, where the marker was found, with the marker's pattern."""
+    import cv2
+
+    count = len(pattern) * CELL_SAMPLES
+    place = (np.arange(count) + 0.5) / count
+    xy = np.stack(np.meshgrid(place, place), -1).reshape(1, -1, 2)
+    seen = sample(image, cv2.perspectiveTransform(xy, board.marker_to_image)[0])
+    expected = np.kron(pattern, np.ones((CELL_SAMPLES, CELL_SAMPLES))).ravel()
+    spread = seen.std() * expected.std()
+    return float(((seen - seen.mean()) * (expected - expected.mean())).mean() / spread) if spread > 1e-6 else 0.0

@@ -40,7 +40,7 @@ class NotDecodable(GofError):
 
 @dataclass(frozen=True)
 class StripReadings:
-    """What T frames show at J points along each of S strips.
+    """The readings of T frames at J points along each of S strips.
 
     Attributes:
         value: (T, S, J) brightness, 0 dark to 1 lit, per point.
@@ -88,7 +88,7 @@ class StripFit:
 
 
 def normalise(strip: np.ndarray, visible: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """(T, S, J) raw brightness to 0..1 per point between its dark and lit levels; and the points of use (S, J):
+    """Return (T, S, J) raw brightness to 0..1 per point between its dark and lit levels; and the points of use (S, J):
     visible, and with MIN_CONTRAST between dark and lit."""
     low, high = np.percentile(strip, [3, 97], axis=0)
     usable = visible & (high - low > MIN_CONTRAST)
@@ -96,7 +96,7 @@ def normalise(strip: np.ndarray, visible: np.ndarray) -> tuple[np.ndarray, np.nd
 
 
 def coarse_phase(seen: StripReadings, period: float) -> np.ndarray:
-    """(T,) mid-exposure time modulo the period from which strips are bright, to a fraction of a slot.
+    """Return (T,) mid-exposure time modulo the period from which strips are bright, to a fraction of a slot.
 
     Raises: NotDecodable: fewer than three strips flicker.
     """
@@ -130,8 +130,8 @@ def row_time_from_fundamental(seen: StripReadings, time: np.ndarray, period: flo
 
 
 def sharpen_interval(seen: StripReadings, index: np.ndarray, interval: float, period: float) -> float:
-    """The frame interval near `interval` at which the points' first harmonics add up best: a periodogram, good to a
-    small part of the period over the whole clip. `index` are positions on a steady clock."""
+    """Return the frame interval near `interval` at which the points' first harmonics add up best: a periodogram, good
+    to a small part of the period over the whole clip. `index` are positions on a steady clock."""
     points = seen.value[:, seen.usable] - seen.value[:, seen.usable].mean(0)
     span = max(float(np.ptp(index)), 1.0)
     options = interval + period / span * np.linspace(-0.5, 0.5, 51)
@@ -196,14 +196,14 @@ def fit(
 
 
 def _moved(curve: np.ndarray, shift: float, period: float) -> np.ndarray:
-    """(S, B) the curves as they are `shift` us later."""
+    """Return (S, B) the curves as they are `shift` us later."""
     bins = curve.shape[1]
     grid = np.arange(bins)
     return np.stack([np.interp((grid + shift * bins / period) % bins, grid, c, period=bins) for c in curve])
 
 
 def robust_scale(r: np.ndarray) -> float:
-    """Standard deviation of the bulk: 1.4826 times the median absolute deviation, 0 for an empty array."""
+    """Return standard deviation of the bulk: 1.4826 times the median absolute deviation, 0 for an empty array."""
     return float(MAD_TO_SIGMA * np.median(np.abs(r - np.median(r)))) if len(r) else 0.0
 
 
@@ -237,7 +237,7 @@ def robust_line(
 
 
 def _learn(value: np.ndarray, time: np.ndarray, strip: np.ndarray, strips: int, period: float) -> np.ndarray:
-    """(S, B) mean brightness over the period in linearly shared bins; empty bins are interpolated.
+    """Return (S, B) mean brightness over the period in linearly shared bins; empty bins are interpolated.
 
     Args:
         value, time: (T, N) brightness of N points and when they were exposed.   strip: (N,) their strip.
@@ -282,8 +282,8 @@ def _evaluate(curve: np.ndarray, strip: np.ndarray, time: np.ndarray, period: fl
 def _search(
     value: np.ndarray, curve: np.ndarray, strip: np.ndarray, time: np.ndarray, delay: np.ndarray, period: float
 ) -> np.ndarray:
-    """(T,) better times within half a period of the given ones, by least absolute residual on a grid. A frame moves
-    only when that explains it much better.
+    """Return (T,) better times within half a period of the given ones, by least absolute residual on a grid. A frame
+    moves only when that explains it much better.
 
     Args:
         value: (T, N) brightness of N points.   strip, delay: (N,) their strip and their delay.
@@ -313,7 +313,7 @@ def _gauss_newton(
     period: float,
     free_row_time: bool,
 ) -> tuple[np.ndarray, float, np.ndarray, float]:
-    """One robust step for every frame's time and the shared row time: normal equations in which each frame's own
+    """Return one robust step for every frame's time and the shared row time: normal equations in which each frame's own
     unknown is eliminated (Schur complement).
 
     Returns:
@@ -339,8 +339,8 @@ def _gauss_newton(
 
 
 def _relevel(raw: np.ndarray, model: np.ndarray) -> np.ndarray:
-    """(T, N) brightness with gain and offset of every point such that it matches the curve; points that hardly change,
-    or would need more than a factor of three, keep theirs."""
+    """Return (T, N) brightness with gain and offset of every point such that it matches the curve; points that hardly
+    change, or would need more than a factor of three, keep theirs."""
     m, y = model.mean(0), raw.mean(0)
     spread = ((model - m) ** 2).sum(0)
     gain = ((model - m) * (raw - y)).sum(0) / np.maximum(spread, 1e-9)
@@ -374,7 +374,7 @@ def _edges(curve: np.ndarray, period: float) -> tuple[float, float] | None:
 
 
 def _wiring(curve: np.ndarray, seen: StripReadings) -> tuple[list[tuple[int, ...]], list[str]]:
-    """Which slots each strip is lit in, and faults in words."""
+    """Return which slots each strip is lit in, and faults in words."""
     alive, slot = seen.alive, seen.slot
     faults = [f"strip {slot[s]} does not flicker: dead, stuck or hidden" for s in np.flatnonzero(~alive)]
     groups: list[list[int]] = []
@@ -399,7 +399,7 @@ def _wiring(curve: np.ndarray, seen: StripReadings) -> tuple[list[tuple[int, ...
 
 
 def _anchor(curve: np.ndarray, slots: list[tuple[int, ...]], period: float) -> tuple[float, np.ndarray]:
-    """Common shift of the learned curves against the slots (us), and each strip's own remainder (S,).
+    """Return the common shift of the learned curves against the slots (us), and each strip's own remainder (S,).
 
     Raises: NotDecodable: no curve has edges.
     """

@@ -5,21 +5,19 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from functools import partial
 from itertools import chain
 from pathlib import Path
+from typing import ClassVar
 
 import numpy as np
 
 from gof.capture.board_points import BoardPoints
 from gof.capture.decode import CameraTimes, DecodeOptions, decode
-from gof.capture.doubts import MOST_US, doubts, refusal
 from gof.capture.flame_clock import estimate_times, read_light
 from gof.capture.ring_board import RingBoard
 from gof.capture.ring_decode import decode_ring
-from gof.capture.ring_signals import read_ring_signals
-from gof.capture.sensors import Sensor
-from gof.capture.signals import read_signals
+from gof.capture.ring_signals import RingSignals, read_ring_signals
+from gof.capture.signals import Signals, read_signals
 from gof.capture.strips import NotDecodable
 from gof.capture.template import BoardTemplate
 from gof.capture.times import (
@@ -31,9 +29,11 @@ from gof.capture.times import (
     SyncedVideo,
     VideoTimes,
 )
-from gof.core.errors import GofError
+from gof.capture.warnings import MOST_US, refusal, warnings_of
+from gof.core.errors import DataFormatError, GofError
+from gof.core.records import read_record
 from gof.footage.videos import distinct_names, fingerprint, require_different, stated_fps, stated_frames
-from gof.host.progress import progress_bar
+from gof.host.terminal import progress_bar
 
 
 def synchronise(
@@ -52,7 +52,7 @@ def synchronise(
     Args:
         template: the board; a ring board's period is its own, whatever the options say.
         options: one per video.
-        show: is told of every camera that was decoded: name, times, slots (S,) of the board's strips (None of a ring),
+        show: called with every camera that was decoded: name, times, slots (S,) of the board's strips (None of a ring),
             and the board's period in us.
         known: gives the row time of pictures of any size.
         estimate: estimate the clock of a camera without the board from its flame.
@@ -61,8 +61,8 @@ def synchronise(
         DataFormatError: a video is not there, or given twice.
     """
     require_different(videos)
-    ring = isinstance(template, RingBoard)
-    period_us = template.period_us if ring else options[0].period_us
+    period_us = template.period_us if isinstance(template, RingBoard) else options[0].period_us
+    slots = None if isinstance(template, RingBoard) else template.strip_slot
     names = distinct_names(videos)
     decoded: dict[str, _Decoded] = {}
     errors: dict[str, str] = {}
@@ -84,26 +84,26 @@ def synchronise(
             continue
         cameras.append(replace(camera, times=_describe(decoded[name], stated_fps(video))))
         if show:
-            show(name, times[name], None if ring else template.strip_slot, period_us)
+            show(name, times[name], slots, period_us)
     if estimate:
         cameras = _estimate_missing(cameras)
     warnings = [
         *settled,
-        *doubts(cameras, _most_us(template), period_us),
+        *warnings_of(cameras, _most_us(template), period_us),
         *chain.from_iterable(map(_said, cameras)),
     ]
     return FrameTimesFile(template.name, period_us, tuple(cameras), _nearest(cameras), tuple(warnings))
 
 
 def _said(camera: SyncedVideo) -> list[str]:
-    """What is known against a camera."""
+    """Return what is known against a camera."""
     own = [] if camera.times is None else [*camera.times.faults, *camera.times.warnings]
     return [f"{camera.name}: {text}" for text in ([camera.error] if camera.error else []) + own]
 
 
 def _estimate_missing(cameras: list[SyncedVideo]) -> list[SyncedVideo]:
-    """Cameras without a board get an estimated clock, where one with a board filmed the same flame; the others stay as
-    they are, and say why not."""
+    """Return cameras without a board get an estimated clock, where one with a board filmed the same flame; the others
+    stay as they are, and say why not."""
     if all(c.times for c in cameras) or not any(c.times for c in cameras):
         return cameras
     known = {c.name: (Path(c.video), c.times, read_light(Path(c.video))) for c in cameras if c.times}
@@ -150,13 +150,22 @@ def _decode_video(
     start = time.perf_counter()
     frames = stated_frames(video) or 0
     with progress_bar(f"read {name}") as update:
-        ring = isinstance(template, RingBoard)
-        read_video = read_ring_signals if ring else partial(read_signals, points=points)
-        signals = read_video(video, template, progress=lambda done: update(done, max(done, frames)))
+
+        def count(done: int) -> None:
+            update(done, max(done, frames))
+
+        signals: RingSignals | Signals
+        if isinstance(template, RingBoard):
+            signals = ring = read_ring_signals(video, template, progress=count)
+        else:
+            signals = strips = read_signals(video, template, progress=count, points=points)
     read = time.perf_counter()
     if known:  # sensors are wider than high: their rows are the shorter side, whichever way it is turned
         options = replace(options, row_time_us=known.image_row_time_us(min(signals.image_size)))
-    times = (decode_ring if ring else decode)(signals, template, options)
+    if isinstance(template, RingBoard):
+        times = decode_ring(ring, template, options)
+    else:
+        times = decode(strips, template, options)
     outliers = int((~times.used).sum()) - int((np.diff(times.clock_index) == 0).sum()) - times.hidden
     shown = len(times.used) - times.hidden
     if why := refusal(times.rms_us, times.systematic_us, outliers, shown, _most_us(template)):
@@ -165,8 +174,8 @@ def _decode_video(
 
 
 def _settle_counts(decoded: dict[str, CameraTimes], period: float) -> list[str]:
-    """Cameras that do not see all counter LEDs take the candidate nearest to one that does, and cameras that started
-    after the counter began anew are put behind those that started before: they filmed together."""
+    """Return cameras that do not see all counter LEDs take the candidate nearest to one that does, and cameras that
+    started after the counter began anew are put behind those that started before: they filmed together."""
     warnings = []
     certain = [n for n, t in decoded.items() if len(t.count_candidates) == 1]
     if not decoded:
@@ -206,8 +215,8 @@ def _overlap(one: CameraTimes, other: CameraTimes) -> bool:
 
 
 def _apart(decoded: dict[str, CameraTimes]) -> dict[str, str]:
-    """Cameras that filmed at no time that another one filmed, with what to say of them: a take is filmed together. All
-    of them where no two agree."""
+    """Return cameras that filmed at no time that another one filmed, with what to say of them: a take is filmed
+    together. All of them where no two agree."""
     if len(decoded) < 2:
         return {}
     together = {n: [o for o in decoded if o != n and _overlap(decoded[n], decoded[o])] for n in decoded}
@@ -225,8 +234,8 @@ def _nearest(cameras: list[SyncedVideo]) -> dict[str, NearestFrame]:
     """For each camera with times, its frame nearest to the first such camera's first frame."""
     time_s = {c.name: np.array([frame.time_s for frame in c.times.frames]) for c in cameras if c.times}
     nearest: dict[str, NearestFrame] = {}
-    first = next(iter(time_s.values()), None)
     for name, own in time_s.items():
+        first = next(iter(time_s.values()))
         offset = 1e6 * (own - first[0])
         k = int(np.abs(offset).argmin())
         nearest[name] = NearestFrame(k, round(float(offset[k]), 2))
@@ -234,7 +243,7 @@ def _nearest(cameras: list[SyncedVideo]) -> dict[str, NearestFrame]:
 
 
 def _describe(found: _Decoded, container_fps: float | None) -> VideoTimes:
-    """The figures in the precision that they have."""
+    """Return the figures in the precision that they have."""
     t = found.times
     width, height = found.image_size
     repeated = np.concatenate([[False], np.diff(t.clock_index) == 0])
@@ -270,3 +279,57 @@ def _describe(found: _Decoded, container_fps: float | None) -> VideoTimes:
             round(len(t.time_us) / (found.read_s + found.decode_s), 1),
         ),
     )
+
+
+# ----------------------------------------------------------------
+# What is known of rolling-shutter sensors, as data (sensors.json).
+
+
+@dataclass(frozen=True)
+class Sensor:
+    """A camera mode.
+
+    Attributes:
+        width, height: native size in pixels.
+        row_time_us: from sensor row to sensor row.
+        source: where that is from.
+    """
+
+    camera: str
+    width: int
+    height: int
+    fps: float
+    row_time_us: float
+    source: str
+
+    def image_row_time_us(self, lines: int) -> float:
+        """Return row time of a picture whose `lines` lines show all sensor rows.
+
+        Raises: ValueError for lines < 1.
+        """
+        if lines < 1:
+            raise ValueError(f"a picture with {lines} lines")
+        return self.row_time_us * self.height / lines
+
+
+@dataclass(frozen=True)
+class SensorTable:
+    """sensors.json, by name of the mode. What else it holds (measurements, notes) is for people."""
+
+    SCHEMA: ClassVar[str] = "gof-sensors"
+    VERSION: ClassVar[int] = 1
+
+    sensors: dict[str, Sensor]
+
+
+def sensor(name: str) -> Sensor:
+    """Return a sensor of the table by name.
+
+    Raises: DataFormatError: not in the table (names those that are).
+    """
+    table = read_record(SensorTable, Path(__file__).with_name("sensors.json")).sensors
+    if name not in table:
+        raise DataFormatError(
+            f"no sensor '{name}' in the table; it has {', '.join(table)}. Or give the row time itself"
+        )
+    return table[name]

@@ -28,7 +28,7 @@ SIDES_M = 1e-3, 100.0
 
 
 def require_places(what: str, places: Iterable[Point], farthest: float = FARTHEST) -> None:
-    """Raises DataFormatError: a place of a board lies beyond any board."""
+    """Raise DataFormatError: a place of a board lies beyond any board."""
     for place in places:
         if not all(abs(value) <= farthest for value in place):
             raise DataFormatError(f"'{what}' has a place {farthest:g} or more away: {list(place)}")
@@ -135,7 +135,7 @@ class BoardTemplate:
 
     @classmethod
     def load(cls, name: str | Path) -> BoardTemplate:
-        """A built-in template by name ("paper_rig", "gof_board") or a JSON file.
+        """Return a built-in template by name ("paper_rig", "gof_board") or a JSON file.
 
         Raises:
             DataFormatError: no such file, or a field is missing or malformed.

@@ -47,7 +47,7 @@ class DecodingCost:
 
 @dataclass(frozen=True)
 class VideoTimes:
-    """What was read from one video.
+    """The readings of one video.
 
     Attributes:
         width, height: of the stored picture, px.
@@ -63,7 +63,7 @@ class VideoTimes:
         count: of the periods, by the LEDs; no candidates where there is no board.
         container_fps: what the file states; None when it states none.
         marker_px: mean side of the marker.
-        faults: of the board's wiring.   warnings: what else is doubtful.
+        faults: of the board's wiring.   warnings: other faults.
         clock: "board": read from it; "flame": estimated from other cameras' flame (`gof.capture.flame_clock`), all
             frames by `systematic_us` alike; nothing is known of gaps then.
     """

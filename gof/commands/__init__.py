@@ -38,7 +38,7 @@ class Command:
 
 
 def no_such(kind: str, name: str, known: Iterable[str]) -> str:
-    """What to say of a word that names no command or part: the nearest one that there is, and all."""
+    """Return what to say of a word that names no command or part: the nearest one that there is, and all."""
     near = get_close_matches(name.lower(), known := list(known), n=1)
     return f"no {kind} '{name}'{f', did you mean {near[0]}? There are' if near else '; there are'}: {', '.join(known)}"
 
@@ -52,7 +52,9 @@ COMMANDS = {
     "baseline": Command(
         "gof.commands.baseline", "other methods' own training code, without CUDA", "reconstruct", False, True
     ),
-    "evaluate": Command("gof.commands.evaluate", "result + ground truth -> DVE, PSNR, SSIM, and controls", "score"),
+    "evaluate": Command(
+        "gof.commands.evaluate", "result + ground truth -> DVE, PSNR, SSIM, and trivial baselines", "score"
+    ),
     "leaderboard": Command("gof.commands.leaderboard", "evaluated results side by side on one page", "score"),
     "depth": Command("gof.commands.depth", "depth maps of frames, for the scores of depth", "score"),
     "report": Command("gof.commands.report", "pictures, scores and costs of a result on one page", "show"),

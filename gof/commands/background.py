@@ -9,8 +9,7 @@ from typing import Annotated, ClassVar
 import tyro
 
 from gof.commands.everywhere import next_to, write_figures
-from gof.commands.read import read_options
-from gof.commands.units import Pixels
+from gof.commands.read import Pixels, read_options
 from gof.core.costs import StageLog
 from gof.reconstruct.background import BackgroundOptions, add_flame, make_background
 

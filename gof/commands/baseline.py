@@ -12,7 +12,7 @@ ENVIRONMENT = {"OMP_WAIT_POLICY": "passive", "OMP_NUM_THREADS": "1", "PYTHONUNBU
 
 
 def main(argv: list[str]) -> int:
-    """The command line of `gof baseline`; what it replaces in PyTorch it replaces in another process.
+    """Run `gof baseline`; PyTorch is changed in another process alone.
 
     Raises:
         MissingDependencyError: PyTorch is absent.

@@ -10,9 +10,8 @@ import tyro
 
 from gof.capture.annotate import annotate, training_frames
 from gof.capture.board_points import read_board_points
-from gof.capture.recognise import recognise, require_strips
+from gof.capture.recognise import first_frames, recognise, require_strips
 from gof.commands.everywhere import write_figures
-from gof.commands.first_frames import first_frames
 from gof.commands.read import read_options
 from gof.core.errors import GofError
 from gof.dataset import Dataset

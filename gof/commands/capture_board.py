@@ -11,8 +11,7 @@ import tyro
 from gof.capture.controller import RESET_SAID, Board, BoardError, ask_ports, candidate_ports, only_board
 from gof.capture.protocol import State, Status
 from gof.commands.everywhere import write_figures
-from gof.commands.read import read_options
-from gof.commands.units import Seconds
+from gof.commands.read import Seconds, read_options
 from gof.host.options import require_number
 
 MOST_JITTER_US = 20.0  # of a tick: the order of what cameras' times are read to
@@ -107,7 +106,7 @@ def _act(config: BoardConfig) -> dict:
 
 
 def pattern(light: str) -> tuple[Literal["all_off", "all_on", "one"], int]:
-    """The pattern and the output of --light. Raises BoardError: it is neither a word nor a number."""
+    """Return the pattern and the output of --light. Raises BoardError: it is neither a word nor a number."""
     if light in ("all", "none"):
         return ("all_on" if light == "all" else "all_off"), 0
     if not light.isdecimal():
@@ -116,7 +115,7 @@ def pattern(light: str) -> tuple[Literal["all_off", "all_on", "one"], int]:
 
 
 def judge(status: Status) -> list[str]:
-    """What about a board's own figures a person should look at."""
+    """Return what about a board's own figures a person should look at."""
     found = []
     worst = max(abs(status.earliest_ns), abs(status.latest_ns)) / 1000
     if status.ticks and worst > MOST_JITTER_US:
@@ -127,7 +126,7 @@ def judge(status: Status) -> list[str]:
 
 
 def describe(status: Status) -> str:
-    """One line: state, counter, clock, jitter."""
+    """Return one line: state, counter, clock, jitter."""
     period_ms = status.tick_us / 100
     line = f"{status.state.name.lower():<8} count {status.count:5d}.{status.phase}  period {period_ms:g} ms"
     if status.ticks:

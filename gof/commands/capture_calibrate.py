@@ -10,7 +10,7 @@ import tyro
 
 from gof.capture.calibration import Calibration, calibrate, sharpest
 from gof.capture.charuco import Charuco
-from gof.commands.charuco_options import CharucoOptions
+from gof.commands.capture_target import CharucoOptions
 from gof.commands.everywhere import require_free, require_writable, write_figures
 from gof.commands.read import read_options
 from gof.core.errors import GofError
@@ -18,7 +18,7 @@ from gof.core.records import write_record
 from gof.footage.lens import CamerasFile
 from gof.footage.videos import distinct_names, stated_frames, stored_frames
 from gof.host.options import require_number
-from gof.host.progress import progress_bar
+from gof.host.terminal import progress_bar
 
 
 @dataclass(frozen=True)
@@ -80,7 +80,7 @@ def calibrate_footage(name: str, path: Path, target: Charuco, views: int) -> Cal
 
 
 def describe(name: str, found: Calibration) -> str:
-    """One line of figures."""
+    """Return one line of figures."""
     (fx, _, cx), (_, fy, cy) = found.lens.K[:2]
     layout = ", target drawn as by OpenCV before 4.6" if found.old_layout else ""
     return (

@@ -7,8 +7,7 @@ from pathlib import Path
 
 from gof.capture.template import BoardTemplate, draw_svg
 from gof.commands.everywhere import require_free, write_figures
-from gof.commands.read import read_options
-from gof.commands.units import Millimetres
+from gof.commands.read import Millimetres, read_options
 from gof.core.files import atomic_path
 from gof.host.options import require_number
 

@@ -12,16 +12,13 @@ import tyro
 from gof.capture.aligned import Codec, Layout, write_aligned
 from gof.capture.board_points import read_board_points
 from gof.capture.decode import DecodeOptions
-from gof.capture.doubts import missing_frames
-from gof.capture.recognise import AUTO, recognise
+from gof.capture.recognise import AUTO, first_frames, recognise
 from gof.capture.ring_board import RingBoard
-from gof.capture.sensors import Sensor, sensor
-from gof.capture.sync import synchronise
+from gof.capture.sync import Sensor, sensor, synchronise
 from gof.capture.times import FILE, FrameTimesFile, Readout, SyncedVideo
+from gof.capture.warnings import missing_frames
 from gof.commands.everywhere import require_free, require_writable, write_figures
-from gof.commands.first_frames import first_frames
-from gof.commands.read import read_options
-from gof.commands.units import Microseconds, Rate
+from gof.commands.read import Microseconds, Rate, read_options
 from gof.core.errors import GofError
 from gof.core.records import write_record
 from gof.footage.videos import distinct_names, require_different
@@ -133,7 +130,7 @@ def main(argv: list[str]) -> int:
 
 
 def said_once(take: FrameTimesFile) -> str:
-    """Each reason with the cameras that it holds for."""
+    """Return each reason with the cameras that it holds for."""
     cameras: dict[str, list[str]] = {}
     for camera in take.cameras:
         cameras.setdefault(str(camera.error), []).append(camera.name)
@@ -143,7 +140,7 @@ def said_once(take: FrameTimesFile) -> str:
 def write_beside(
     out: Path, report: bool, videos: tuple[Layout, Codec] | None, take: FrameTimesFile, charts: Mapping[str, Chart]
 ) -> None:
-    """The report and the aligned videos, as asked for; one camera alone has neither."""
+    """Write the report and the aligned videos, as asked for; one camera alone has neither."""
     together = sum(camera.times is not None for camera in take.cameras) > 1
     if report and together:
         print(write_report(out / "report.html", take, charts))
@@ -156,7 +153,7 @@ def write_beside(
 
 
 def row_time(config: SyncConfig) -> tuple[Sensor | None, float | None]:
-    """The sensor of --row-time, or its number in microseconds. Raises GofError: it is neither."""
+    """Return the sensor of --row-time, or its number in microseconds. Raises GofError: it is neither."""
     if config.row_time is None:
         return None, None
     try:
@@ -168,7 +165,7 @@ def row_time(config: SyncConfig) -> tuple[Sensor | None, float | None]:
 
 
 def layout_and_codec(asked: str | None) -> tuple[Layout, Codec] | None:
-    """What --write-videos says. Raises GofError: no such layout, or codec."""
+    """Return what --write-videos says. Raises GofError: no such layout, or codec."""
     if asked is None:
         return None
     layout, _, codec = asked.partition(":")
@@ -179,7 +176,7 @@ def layout_and_codec(asked: str | None) -> tuple[Layout, Codec] | None:
 
 
 def options(config: SyncConfig, row_time_us: float | None) -> list[DecodeOptions]:
-    """One per video. Raises GofError: another number of rates than videos."""
+    """Return one per video. Raises GofError: another number of rates than videos."""
     count = len(config.videos)
     rates = config.fps or [None]
     if len(rates) not in (1, count):
@@ -193,7 +190,7 @@ def without_frames(camera: SyncedVideo) -> SyncedVideo:
 
 
 def describe(camera: SyncedVideo) -> str:
-    """One line of figures, or why there are none."""
+    """Return one line of figures, or why there are none."""
     times = camera.times
     if times is None:
         return f"{camera.name:<16} not decoded: {camera.error}"

@@ -7,12 +7,36 @@ from pathlib import Path
 
 import tyro
 
-from gof.capture.charuco import draw_pdf, draw_svg, page
-from gof.commands.charuco_options import CharucoOptions
+from gof.capture.charuco import Charuco, draw_pdf, draw_svg, page
 from gof.commands.everywhere import require_free, write_figures
-from gof.commands.read import read_options
+from gof.commands.read import Millimetres, read_options
 from gof.core.errors import GofError
 from gof.core.files import atomic_path
+from gof.host.options import require_positive
+
+# ----------------------------------------------------------------
+# The ChArUco target as options of a command.
+
+
+@dataclass(frozen=True)
+class CharucoOptions:
+    """A target of DICT_4X4_50; the paper's is the default."""
+
+    squares: str = "7x5"
+    """Squares across and down."""
+    square_mm: Millimetres = Charuco.square_mm
+    """Side of a square, as measured on the print."""
+    charuco_mm: Millimetres = Charuco.marker_mm
+    """Side of a marker."""
+
+    def target(self) -> Charuco:
+        """Return the target. Raises GofError: a size is not above 0, or --squares is no pair of numbers."""
+        require_positive("--square-mm", self.square_mm)
+        require_positive("--charuco-mm", self.charuco_mm)
+        columns, x, rows = self.squares.partition("x")
+        if not (x and columns.isdecimal() and rows.isdecimal()):
+            raise GofError(f"--squares {self.squares}: write the squares across and down as 7x5")
+        return Charuco(int(columns), int(rows), self.square_mm, self.charuco_mm)
 
 
 @dataclass(frozen=True)

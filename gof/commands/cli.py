@@ -55,7 +55,7 @@ PROJECT = "gaussians-on-fire"
 
 @cache
 def commands() -> dict[str, Command]:
-    """Every command by name, by groups: gof's own, and those of installed packages (`gof.commands`)."""
+    """Return every command by name, by groups: gof's own, and those of installed packages (`gof.commands`)."""
     found = dict(COMMANDS)
     for table in entry_points(group="gof.commands"):
         found |= table.load()
@@ -64,7 +64,7 @@ def commands() -> dict[str, Command]:
 
 
 def where_to_ask() -> str:
-    """A line with the address for questions; "" where the package names none."""
+    """Return a line with the address for questions; "" where the package names none."""
     try:
         urls = metadata(PROJECT).get_all("Project-URL") or []
     except PackageNotFoundError:
@@ -148,7 +148,7 @@ def _say_no_more() -> None:
 
 
 def _fault(error: Exception, argv: list[str]) -> str:
-    """One line on an error that nobody has foreseen, with what helps to find it."""
+    """Return one line on an unforeseen error, with what helps to find it."""
     frames = traceback.extract_tb(error.__traceback__)
     where = f"{os.path.basename(frames[-1].filename)}:{frames[-1].lineno}" if frames else "an unknown place"
     said = " ".join(printable(str(error)).split())[:200]
@@ -208,7 +208,7 @@ def _main(argv: list[str]) -> int:
 
 
 def _without_everywhere(argv: list[str]) -> tuple[list[str], everywhere.Everywhere]:
-    """The command line without the options that every command understands, and these.
+    """Return the command line without the options that every command understands, and these.
 
     Of a command whose words are another program's, those before its name alone are ours.
     """
@@ -218,7 +218,7 @@ def _without_everywhere(argv: list[str]) -> tuple[list[str], everywhere.Everywhe
 
 
 def _is_not_utf8(word: str) -> bool:
-    """Bytes that are no text come as halves of characters."""
+    """Return bytes that are no text come as halves of characters."""
     return any("\ud800" <= c <= "\udfff" for c in word)
 
 
@@ -260,7 +260,8 @@ def run(name: str, argv: list[str]) -> int:
 
 
 def _words_on_memory(error: BaseException | None) -> str | None:
-    """What an error says of memory, or one that it was raised on: a library that cannot be loaded breaks others."""
+    """Return what an error says of memory, or one that it was raised on: a library that cannot be loaded breaks
+    others."""
     while error is not None:
         library = isinstance(error, ImportError) and "temporarily unavailable" in str(error)  # as dlopen says it
         if library or NO_MEMORY.search(str(error)):

@@ -37,7 +37,7 @@ class CompletionConfig:
 
 
 def main(argv: list[str]) -> int:
-    """The command line of `gof completion`."""
+    """Run `gof completion`."""
     config = read_options(CompletionConfig, "completion", argv)
     print({"bash": bash, "zsh": zsh, "fish": fish}[config.shell](words()))
     return 0
@@ -54,7 +54,7 @@ def parts_of(name: str) -> dict[str, str]:
 
 
 def leaves() -> dict[str, str]:
-    """Every command, and every part of one, that takes options: its words after `gof`, and its module."""
+    """Return every command, and every part of one, that takes options: its words after `gof`, and its module."""
     from gof.commands.cli import commands
 
     found = {}
@@ -67,7 +67,7 @@ def leaves() -> dict[str, str]:
 
 
 def words() -> dict[str, list[str]]:
-    """What can follow `gof` and the words of a command: commands, parts, or options and their values."""
+    """Return what can follow `gof` and the words of a command: commands, parts, or options and their values."""
     from gof.commands.cli import commands
 
     always = [option.split()[0] for option in everywhere.OPTIONS] + ["--help", "--help-all"]
@@ -87,7 +87,7 @@ def words() -> dict[str, list[str]]:
 
 
 def bash(table: dict[str, list[str]]) -> str:
-    """The script for bash: values of an option, then options; files where nothing else fits."""
+    """Return the script for bash: values of an option, then options; files where nothing else fits."""
     cases = "\n".join(f'    "{key}") words="{" ".join(values)}" ;;' for key, values in table.items())
     return f"""# completion of gof for bash, written by: gof completion bash
 _gof_words() {{
@@ -112,12 +112,12 @@ complete -o default -F _gof gof"""
 
 
 def zsh(table: dict[str, list[str]]) -> str:
-    """The script for zsh, which runs that of bash."""
+    """Return the script for zsh, which runs that of bash."""
     return f"#compdef gof\nautoload -U +X bashcompinit && bashcompinit\n{bash(table)}"
 
 
 def fish(table: dict[str, list[str]]) -> str:
-    """The script for fish."""
+    """Return the script for fish."""
     lines = ["# completion of gof for fish, written by: gof completion fish", "complete -c gof -e"]
     firsts = [word for word in table[""] if not word.startswith("-")]
     lines.append(f'complete -c gof -n __fish_use_subcommand -f -a "{" ".join(firsts)}"')

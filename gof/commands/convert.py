@@ -10,15 +10,14 @@ from typing import Annotated, ClassVar
 import tyro
 
 from gof.commands.everywhere import may_overwrite, write_figures
-from gof.commands.read import read_options
-from gof.commands.units import Seconds
+from gof.commands.read import Seconds, read_options
 from gof.core.errors import GofError
 from gof.dataset import Dataset
 from gof.host.terminal import console
 from gof.io.convert import convert
 from gof.io.importers import Imported, ImportOptions, read_result
 from gof.io.importers.alignment import align_cameras, read_cameras
-from gof.io.importers.said import FIELDS, with_said, write_said
+from gof.io.importers.sidecar import FIELDS, with_said, write_said
 from gof.io.importers.source import WorldBy
 
 
@@ -54,7 +53,7 @@ class ConvertConfig:
     frame_time: Seconds | None = None
     """From one frame to the next, for results that count frames and for a folder of PLYs."""
     time_unit: Seconds | None = None
-    """Of one unit of the method's time (FreeTimeGS: the whole clip; PLY sequence: from one number to the next)."""
+    """One unit of the method's time (FreeTimeGS: the whole clip; PLY sequence: from one number to the next)."""
     time_zero: Seconds = 0.0
     """Dataset time at the method's time 0."""
     world: Path | None = None
@@ -72,13 +71,13 @@ class ConvertConfig:
     """The dataset into whose world --align moves the result; its cameras have the same names."""
 
     def foreign(self) -> ImportOptions:
-        """What the options say of the result. Raises GofError: see `ImportOptions`."""
+        """Return what the options say of the result. Raises GofError: see `ImportOptions`."""
         times = self.time_unit, self.time_zero, self.frame_time
         return ImportOptions(*times, self.world, self.world_by, self.code_date, self.flame_only)
 
 
 def main(argv: list[str]) -> int:
-    """The command line of `gof convert`."""
+    """Run `gof convert`."""
     config = read_options(ConvertConfig, "convert", argv)
     began = time.perf_counter()
     if (config.align is None) != (config.dataset is None):
@@ -105,7 +104,7 @@ def main(argv: list[str]) -> int:
 
 
 def _write_down(config: ConvertConfig) -> int:
-    """RESULT.gof.json. Raises GofError: nothing is said, or it is not about how the result is to be read."""
+    """RESULT.gof.json. Raises GofError: it holds nothing, or nothing about how the result is to be read."""
     options = config.foreign()
     if not any(getattr(options, name) for name in FIELDS):
         raise GofError(
@@ -126,7 +125,7 @@ def _write_down(config: ConvertConfig) -> int:
 
 
 def _moved(imported: Imported, cameras: Path, dataset: Dataset) -> Imported:
-    """A result in the dataset's world."""
+    """Return a result in the dataset's world."""
     found = align_cameras(read_cameras(cameras), {c.name: c.world_to_camera for c in dataset.cameras})
     moved, notes = imported.gaussians.transformed(found.matrix), (*imported.notes, found.in_words(cameras))
     return replace(imported, gaussians=moved, notes=notes)

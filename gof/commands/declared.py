@@ -50,7 +50,7 @@ class Option:
 
 
 def config_of(module: str) -> type:
-    """The config class of a command's module. Raises ValueError: the module has none, or several."""
+    """Return the config class of a command's module. Raises ValueError: the module has none, or several."""
     found = [
         kind
         for name, kind in vars(importlib.import_module(module)).items()
@@ -62,13 +62,13 @@ def config_of(module: str) -> type:
 
 
 def options_of(config: type) -> list[Option]:
-    """The positional arguments and options of a config class, in their order."""
+    """Return the positional arguments and options of a config class, in their order."""
     texts, hints = _texts(config), typing.get_type_hints(config, include_extras=True)
     return [option for field in dataclasses.fields(config) for option in _options(field, hints[field.name], texts)]
 
 
 def first_of(config: type) -> list[Option]:
-    """The options of a command's first help screen: those that FIRST names, or all."""
+    """Return the options of a command's first help screen: those that FIRST names, or all."""
     options = [option for option in options_of(config) if not option.positional]
     first = getattr(config, "FIRST", None)
     if first is None:
@@ -112,7 +112,7 @@ def _default(field: dataclasses.Field) -> Any:
 
 
 def _typed(value: Any) -> str:
-    """A default as it is typed."""
+    """Return a default as it is typed."""
     if value is dataclasses.MISSING:
         return ""
     if isinstance(value, (tuple, list)):
@@ -121,7 +121,7 @@ def _typed(value: Any) -> str:
 
 
 def _bare(hint: Any) -> tuple[Any, tuple]:
-    """A type without its annotations, and these."""
+    """Return a type without its annotations, and these."""
     if typing.get_origin(hint) is typing.Annotated:
         kind, *marks = typing.get_args(hint)
         return kind, tuple(marks)
@@ -129,7 +129,7 @@ def _bare(hint: Any) -> tuple[Any, tuple]:
 
 
 def _plain(hint: Any) -> tuple[list[Any], list[Any]]:
-    """The single types in a union or a sequence, without None, and all their annotations."""
+    """Return the single types in a union or a sequence, without None, and all their annotations."""
     kind, marks = _bare(hint)
     if kind in (type(None), Ellipsis):
         return [], []
@@ -152,7 +152,7 @@ def _several(hint: Any) -> bool:
 
 
 def _texts(config: type) -> dict[str, str]:
-    """The strings under the fields of a class, and of those that it is made from, as one line each."""
+    """Return the strings under the fields of a class, and of those that it is made from, as one line each."""
     found: dict[str, str] = {}
     for kind in reversed(config.__mro__[:-1]):
         body = ast.parse(textwrap.dedent(inspect.getsource(kind))).body[0].body

@@ -12,9 +12,8 @@ from gof.commands.everywhere import may_overwrite, next_to, write_figures
 from gof.commands.read import read_options
 from gof.core.errors import GofError
 from gof.dataset import Dataset
-from gof.host.progress import progress_bar
-from gof.ingest.frame_depth import write_frame_depths
-from gof.ingest.plate_depth import write_plate_depths
+from gof.host.terminal import progress_bar
+from gof.ingest.depth import write_frame_depths, write_plate_depths
 
 LITTLE = 0.05  # of the pixels; where stereo finds less the maps are mostly guessed
 
@@ -73,7 +72,8 @@ def main(argv: list[str]) -> int:
 
 
 def _plates(config: DepthConfig, dataset: Dataset) -> int:
-    """Raises GofError: options that say nothing about plates; the maps are there already."""
+    """Write the depth of the plates. Raises GofError: options that say nothing about plates; the maps are there
+    already."""
     if config.out is not None or config.all_frames:
         raise GofError("--plates: writes into the dataset, and of no frame; leave out --out and --all-frames")
     files = write_plate_depths(dataset, config.weights, may_overwrite())

@@ -1,4 +1,4 @@
-"""`gof evaluate`: every score of a result against a dataset, with the controls and what each part cost."""
+"""`gof evaluate`: every score of a result against a dataset, with the trivial baselines and what each part cost."""
 
 from __future__ import annotations
 
@@ -16,12 +16,11 @@ from gof.core.cameras import in_words
 from gof.core.errors import DataFormatError, GofError
 from gof.dataset import Dataset
 from gof.evaluate import Extras, Scores, evaluate
-from gof.evaluate.controls import BOUNDS
-from gof.evaluate.published import THEIRS
+from gof.evaluate.authors_figures import THEIRS
 from gof.evaluate.scores import VelocityScore
-from gof.host.progress import progress_bar
-from gof.host.terminal import console
-from gof.ingest.frame_depth import KINDS, write_frame_depths
+from gof.evaluate.trivial_baselines import BOUNDS
+from gof.host.terminal import console, progress_bar
+from gof.ingest.depth import KINDS, write_frame_depths
 from gof.reconstruct.optical_flow import dis
 
 FILE, MAPS = "scores.json", "depth_maps"
@@ -49,7 +48,8 @@ PUBLISHED_ROWS = (
 
 @dataclass
 class EvaluateConfig:
-    """Score a reconstruction against a dataset: DVE (L2, CosSim) with controls, PSNR and SSIM on held-out frames.
+    """Score a reconstruction against a dataset: DVE (L2, CosSim) with trivial baselines, PSNR and SSIM on held-out
+    frames.
 
     Examples:
       gof evaluate out/fire --dataset data/fire
@@ -82,7 +82,7 @@ class EvaluateConfig:
 
 
 def main(argv: list[str]) -> int:
-    """The command line of `gof evaluate`."""
+    """Run `gof evaluate`."""
     config = read_options(EvaluateConfig, "evaluate", argv)
     files = _files(config)
     dataset = Dataset.open(config.dataset)
@@ -100,7 +100,7 @@ def main(argv: list[str]) -> int:
     for table in (velocity_table(scores), picture_table(scores), around_table(scores), published_table(scores)):
         if table.row_count:
             out.print(table)
-    for sentence in beaten_controls(scores):
+    for sentence in beaten_trivial_baselines(scores):
         out.print(sentence, highlight=False)
     if scores.flow_prior is not None:
         out.print(f"learned flow prior: {'used' if scores.flow_prior else 'not used'}")
@@ -115,7 +115,7 @@ def main(argv: list[str]) -> int:
 
 
 def _files(config: EvaluateConfig) -> list[Path]:
-    """Where the scores go: to --out, to --json, or beside the result.
+    """Return where the scores go: to --out, to --json, or beside the result.
 
     Raises:
         GofError: the result or its folder is not there, or something in the way would be lost.
@@ -166,29 +166,35 @@ def _depth_maps(published: str | None, dataset: Dataset, out: Path) -> tuple[Pat
 
 
 def velocity_table(scores: Scores) -> Table:
-    """The velocities' scores with those of the controls; empty without true velocities."""
+    """Return the velocities' scores with those of the trivial baselines; empty without true velocities."""
     table = Table(title="Velocity (DVE): lower L2 and higher CosSim are better", title_justify="left")
     for column in ("velocities", "L2", "CosSim", "what it is"):
         table.add_column(column, justify="right" if column in ("L2", "CosSim") else "left")
     if scores.dve:
         _add_own_rows(table, scores.dve)
-    for name, control in scores.controls.items():
-        table.add_row(f"control: {name}", _number(control.l2), _number(control.cos_sim), control.meaning)
+    for name, trivial_baseline in scores.trivial_baselines.items():
+        table.add_row(
+            f"trivial: {name}",
+            _number(trivial_baseline.l2),
+            _number(trivial_baseline.cos_sim),
+            trivial_baseline.meaning,
+        )
     return table
 
 
-def beaten_controls(scores: Scores) -> list[str]:
-    """Per figure a sentence: which controls the result beats in it, and which not; none where it is undefined."""
+def beaten_trivial_baselines(scores: Scores) -> list[str]:
+    """Per figure a sentence: which trivial baselines the result beats in it, and which not; none where it is
+    undefined."""
     sentences = []
     for key, label, sign in (("l2", "L2", -1), ("cos_sim", "CosSim", 1)):
         own = None if scores.dve is None else getattr(scores.dve, key)
-        theirs = {name: getattr(c, key) for name, c in scores.controls.items() if name not in BOUNDS}
+        theirs = {name: getattr(c, key) for name, c in scores.trivial_baselines.items() if name not in BOUNDS}
         theirs = {name: value for name, value in theirs.items() if value is not None}
         if own is None or not theirs:
             continue
         beaten = [name for name, value in theirs.items() if sign * own > sign * value]
         others = [name for name in theirs if name not in beaten]
-        sentence = f"{label} beats {', '.join(beaten) or 'no control'}"
+        sentence = f"{label} beats {', '.join(beaten) or 'no trivial baseline'}"
         sentences.append(f"{sentence}; not {', '.join(others)}" if others else sentence)
     return sentences
 
@@ -209,7 +215,7 @@ def _add_own_rows(table: Table, dve: VelocityScore) -> None:
     )
     if dve.within_sd is not None:
         meaning = f"{dve.within_sd:.0%} within one standard deviation of the truth (68 % if v_sd is right)"
-        table.add_row("  its own doubt", "", "", meaning)
+        table.add_row("  its own uncertainty", "", "", meaning)
     if emission := dve.on_emission:
         table.add_row(
             "  on the emission",
@@ -226,7 +232,7 @@ def _add_own_rows(table: Table, dve: VelocityScore) -> None:
 
 
 def picture_table(scores: Scores) -> Table:
-    """The pictures' scores with those of the plate; scores that no picture has are left out."""
+    """Return the pictures' scores with those of the plate; scores that no picture has are left out."""
     table = Table(title=f"Held-out pictures{_at_size(scores)}", title_justify="left")
     for column in ("score", "result", "fire-free plate alone"):
         table.add_column(column, justify="left" if column == "score" else "right")
@@ -239,7 +245,7 @@ def picture_table(scores: Scores) -> Table:
 
 
 def around_table(scores: Scores) -> Table:
-    """The pictures from all around, by the angle from the nearest given camera; empty without such cameras."""
+    """Return the pictures from all around, by the angle from the nearest given camera; empty without such cameras."""
     table = Table(title="From all around: the flame over plates that were not given", title_justify="left")
     for column in ("angle", "cameras", "PSNR flame (dB)", "SSIM flame", "sharpness / true", "false colour"):
         table.add_column(column, justify="right")
@@ -256,14 +262,14 @@ def around_table(scores: Scores) -> Table:
 
 
 def _counted(scores: Scores, key: str) -> str:
-    """How many pictures a mean is of, where not all have the figure: of a flame where there is none, say."""
+    """Return how many pictures a mean is of, where not all have the figure: of a flame where there is none, say."""
     pictures = scores.images.pictures if scores.images else ()
     count = sum(getattr(picture, key, None) is not None for picture in pictures)
     return f", {count} of {len(pictures)} pictures" if 0 < count < len(pictures) else ""
 
 
 def published_table(scores: Scores) -> Table:
-    """The authors' figures beside what they publish; empty when not asked for."""
+    """Return the authors' figures beside what they publish; empty when not asked for."""
     table = Table(title=f"Held-out pictures{_at_size(scores)}, by the authors' definitions", title_justify="left")
     for column in ("score", "result", "published, other footage"):
         table.add_column(column, justify="left" if column == "score" else "right")
@@ -274,7 +280,7 @@ def published_table(scores: Scores) -> Table:
 
 
 def _at_size(scores: Scores) -> str:
-    """The pictures' size, in words that follow others."""
+    """Return the pictures' size, in words that follow others."""
     words = in_words(scores.images.sizes_px) if scores.images else ""
     return f" at {words}" if words else ""
 

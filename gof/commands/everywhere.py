@@ -1,4 +1,4 @@
-"""What every command understands: --json FILE, --quiet, --verbose and --overwrite, before or after its name.
+"""Options that every command understands: --json FILE, --quiet, --verbose and --overwrite, before or after its name.
 
 Defined once. `cli.main` takes them out of the command line; a command that is called by itself (`main(argv)` of its
 module) takes out its own. Commands ask here where their figures go, and whether a file may be replaced.
@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Any
 
 from gof.core.errors import GofError
-from gof.host.progress import QUIET_VARIABLE
+from gof.host.terminal import QUIET_VARIABLE
 
 DEBUG_VARIABLE, FAULTS = "GOF_DEBUG", "faults"  # with this value for faults of ours alone, as tests have it
 
@@ -42,7 +42,7 @@ _written = False  # whether it has written its figures
 
 
 def split(argv: list[str]) -> tuple[list[str], Everywhere]:
-    """The other words, and what these options say. Raises GofError: --json without a file."""
+    """Return the other words, and what these options say. Raises GofError: --json without a file."""
     words, given = iter(argv), Everywhere()
     rest: list[str] = []
     for word in words:
@@ -78,7 +78,7 @@ def of_main(given: Everywhere) -> Iterator[None]:
 
 
 def taken_from(argv: list[str]) -> list[str]:
-    """The words without these options, which hold from now on."""
+    """Return the words without these options, which hold from now on."""
     global _given, _written
     rest, own = split(argv)
     if _of_main is None:
@@ -102,19 +102,19 @@ def write_figures(figures: Any) -> None:
 
 
 def figures_file() -> Path | None:
-    """The file of --json, for a command that writes its figures itself."""
+    """Return the file of --json, for a command that writes its figures itself."""
     global _written
     _written = True
     return _given.json
 
 
 def figures_left_out() -> Path | None:
-    """The file of --json, where the command has written no figures to it."""
+    """Return the file of --json, where the command has written no figures to it."""
     return None if _written else _given.json
 
 
 def may_overwrite() -> bool:
-    """Whether --overwrite was given."""
+    """Return whether --overwrite was given."""
     return _given.overwrite
 
 
@@ -130,7 +130,7 @@ def require_free(*paths: Path, option: str = "--out") -> None:
 
 
 def beside(source: Path, name: str) -> Path:
-    """A file or folder of that name beside a file, or inside a folder: where a command writes without --out.
+    """Return a file or folder of that name beside a file, or inside a folder: where a command writes without --out.
 
     Raises:
         GofError: nothing can be written there.
@@ -140,13 +140,13 @@ def beside(source: Path, name: str) -> Path:
 
 
 def next_to(dataset: Path, suffix: str) -> Path:
-    """A folder beside that of a dataset, NAME + suffix: for what is made of the dataset. Raises as `beside`."""
+    """Return a folder beside that of a dataset, NAME + suffix: for what is made of the dataset. Raises as `beside`."""
     place = dataset.absolute()
     return require_writable(place.parent) / f"{place.name}{suffix}"
 
 
 def require_writable(folder: Path) -> Path:
-    """The folder. Raises GofError: nothing can be written there."""
+    """Return the folder. Raises GofError: nothing can be written there."""
     if folder.is_dir() and not os.access(folder, os.W_OK):
         raise GofError(f"{folder}: cannot be written to; name another place with --out")
     return folder
@@ -154,7 +154,7 @@ def require_writable(folder: Path) -> Path:
 
 @contextlib.contextmanager
 def _variable(name: str) -> Iterator[None]:
-    """An environment variable set to 1, for child processes too."""
+    """Set an environment variable to 1, for child processes too."""
     before = os.environ.get(name)
     os.environ[name] = "1"
     try:

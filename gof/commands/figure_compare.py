@@ -9,9 +9,7 @@ from typing import Annotated
 import tyro
 
 from gof.commands.everywhere import beside, require_free, write_figures
-from gof.commands.read import read_options
-from gof.commands.results import Results, named
-from gof.commands.units import Inches, Seconds
+from gof.commands.read import Inches, Results, Seconds, named, read_options
 from gof.commands.video import camera_number
 from gof.core.errors import GofError
 from gof.dataset import Dataset
@@ -64,7 +62,7 @@ class CompareConfig:
 
 
 def main(argv: list[str]) -> int:
-    """The command line of `gof figure compare`."""
+    """Run `gof figure compare`."""
     config = read_options(CompareConfig, "figure compare", argv)
     require_number("--time", config.time)
     count = int(config.parts[0]) if len(config.parts) == 1 and config.parts[0].isdecimal() else None
@@ -110,7 +108,7 @@ def _subject(path: Path, name: str | None, moment: Moment) -> Subject:
 
 
 def _box(words: str, moment: Moment) -> Box:
-    """A part of the picture. Raises GofError: it is not four numbers, or leaves the picture."""
+    """Return a part of the picture. Raises GofError: it is not four numbers, or leaves the picture."""
     said = f"--parts {words}"
     try:
         box = Box(*map(int, words.split(",")))

@@ -10,14 +10,12 @@ from typing import Annotated, ClassVar
 import tyro
 
 from gof.commands.everywhere import beside, require_free, write_figures
-from gof.commands.read import read_options
-from gof.commands.units import Inches, Seconds
+from gof.commands.read import Inches, Seconds, read_options
 from gof.commands.video import camera_number
 from gof.core.errors import GofError
 from gof.dataset import Dataset
 from gof.host.options import require_number
-from gof.host.progress import progress_bar
-from gof.host.terminal import console
+from gof.host.terminal import console, progress_bar
 from gof.look.charts import require_figure
 from gof.look.modalities import Sources, modalities, training_frame
 from gof.look.paper import WIDTH_IN, write_sheet
@@ -67,7 +65,7 @@ class ModalitiesConfig:
 
 
 def main(argv: list[str]) -> int:
-    """The command line of `gof figure modalities`."""
+    """Run `gof figure modalities`."""
     config = read_options(ModalitiesConfig, "figure modalities", argv)
     require_number("--time", config.time)
     require_number("--columns", config.columns, least=1, most=12)
@@ -100,7 +98,8 @@ def main(argv: list[str]) -> int:
 
 
 def depth_sources(folders: tuple[Path, ...]) -> tuple[Path | None, Path | None]:
-    """The folder of a checkpoint, and that of `gof depth`. Raises GofError: a folder is neither, or two are one."""
+    """Return the folder of a checkpoint, and that of `gof depth`. Raises GofError: a folder is neither, or two are
+    one."""
     found: dict[str, Path] = {}
     for folder in folders:
         kinds = [k for k, name in (("weights", "model.safetensors"), ("maps", "depth")) if (folder / name).exists()]
@@ -111,11 +110,11 @@ def depth_sources(folders: tuple[Path, ...]) -> tuple[Path | None, Path | None]:
 
 
 def even(count: int, most: int) -> int:
-    """Columns of as few rows as `most` columns make, so filled that the last row is not left nearly empty."""
+    """Return columns of as few rows as `most` columns make, so filled that the last row is not left nearly empty."""
     return math.ceil(count / math.ceil(count / most))
 
 
 def run_folder(path: Path) -> Path:
-    """The folder of the reconstruction that a user means by it, or by a demo's folder."""
+    """Return the folder of the reconstruction that a user means by it, or by a demo's folder."""
     inner = path / "reconstruct"
     return inner if not (path / "settings.json").is_file() and (inner / "settings.json").is_file() else path

@@ -9,15 +9,13 @@ from typing import Annotated
 import tyro
 
 from gof.commands.everywhere import next_to, require_free, write_figures
-from gof.commands.read import read_options
-from gof.commands.units import Inches, Seconds
+from gof.commands.read import Inches, Seconds, read_options
 from gof.commands.video import camera_number
 from gof.dataset import Dataset
 from gof.host.options import require_number
 from gof.host.terminal import console
 from gof.look.charts import require_figure
-from gof.look.comparison import Moment
-from gof.look.fire_removal import fire_removal
+from gof.look.comparison import Moment, fire_removal
 from gof.look.paper import WIDTH_IN, write_sheet
 from gof.look.player.opened import newest
 from gof.look.tiles import facts
@@ -51,7 +49,7 @@ class RemovalConfig:
 
 
 def main(argv: list[str]) -> int:
-    """The command line of `gof figure removal`."""
+    """Run `gof figure removal`."""
     config = read_options(RemovalConfig, "figure removal", argv)
     require_number("--time", config.time)
     require_number("--width-in", config.width_in, least=1, most=100)

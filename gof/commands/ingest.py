@@ -10,12 +10,10 @@ from typing import Annotated, ClassVar, Literal, get_args
 
 import tyro
 
-from gof.capture.recognise import BoardUnclear, recognise, require_strips
+from gof.capture.recognise import BoardUnclear, first_frames, recognise, require_strips
 from gof.capture.template import BoardTemplate
 from gof.commands.everywhere import require_writable, write_figures
-from gof.commands.first_frames import first_frames
-from gof.commands.read import read_options
-from gof.commands.units import Degrees, Metres, Millimetres, Pixels
+from gof.commands.read import Degrees, Metres, Millimetres, Pixels, read_options
 from gof.core.costs import StageLog
 from gof.core.errors import GofError
 from gof.dataset.poses import UpReport
@@ -95,7 +93,7 @@ class IngestConfig:
     """Folders of more clips of the same rig, with videos of the same names: features and boards of all clips solve the
     poses together."""
     up: UpChoice = "auto"
-    """What Z follows: "points" of --points that say what is upright or level, the cameras' "accelerometer" (GoPro),
+    """Direction of Z: "points" of --points that say what is upright or level, the cameras' "accelerometer" (GoPro),
     "edges" of upright things (posts, walls), the sync "board" standing upright, the "cameras" held level on average;
     "auto": the first of points, accelerometers (two that agree), edges (if they agree) and cameras that says it."""
     max_size: Pixels | None = None
@@ -107,12 +105,13 @@ class IngestConfig:
     """Use only so many frames."""
 
     def timing(self) -> Timing:
-        """What --times says, and the frames to use. Raises GofError: it is neither a file, nor rates, nor "stamps"."""
+        """Return what --times says, and the frames to use. Raises GofError: it is neither a file, nor rates, nor
+        "stamps"."""
         times, rates, stamps = read_times(self.times)
         return Timing(times, rates, stamps, self.start, self.frames)
 
     def plate_options(self) -> PlateOptions:
-        """What --plates says. Raises GofError: a number of frames that is none."""
+        """Return what --plates says. Raises GofError: a number of frames that is none."""
         kind, colon, frames = self.plates.partition(":")
         if kind not in get_args(PlateKind):
             return PlateOptions(folder=Path(self.plates))
@@ -123,7 +122,8 @@ class IngestConfig:
 
 
 def read_times(words: tuple[str, ...]) -> tuple[Path | None, tuple[float, ...], bool]:
-    """A file of times, rates in frames per second, and whether the files' own stamps hold: one of the three, or none.
+    """Return a file of times, rates in frames per second, and whether the files' own stamps hold: one of the three, or
+    none.
 
     Raises:
         GofError: the words are none of these.
@@ -185,7 +185,7 @@ def _default_out(videos: list[Path]) -> Path:
 
 
 def board_in(choice: str, videos: tuple[Path, ...]) -> BoardTemplate | None:
-    """The sync board of these videos; None where none is looked for, seen, or known. Raises as `recognise`."""
+    """Return the sync board of these videos; None where none is looked for, seen, or known. Raises as `recognise`."""
     if choice == "none":
         return None
     try:
@@ -197,7 +197,7 @@ def board_in(choice: str, videos: tuple[Path, ...]) -> BoardTemplate | None:
 
 
 def require_what_no_file_says(config: IngestConfig, argv: list[str]) -> None:
-    """Raises GofError: times or lenses are not given. Names all that is missing, and a whole command that has it."""
+    """Raise GofError: times or lenses are not given. Names all that is missing, and a whole command that has it."""
     if is_published(config.videos):
         return
     missing, more = [], []
@@ -219,7 +219,7 @@ def require_what_no_file_says(config: IngestConfig, argv: list[str]) -> None:
 
 
 def _stated_rate(video: Path) -> float:
-    """Frames per second by the file, which may be those of playback; 30 where it says none."""
+    """Return frames per second by the file, which may be those of playback; 30 where it says none."""
     require_different([video])
     return stated_fps(video) or 30.0
 
@@ -241,7 +241,8 @@ def other_clip(footage: Footage, folder: Path) -> Footage:
 
 
 def open_footage(config: IngestConfig) -> Footage:
-    """The footage with what is known of its cameras. Raises GofError as `Footage.open`, `PublishedFootage.read`."""
+    """Return the footage with what is known of its cameras. Raises GofError as `Footage.open`,
+    `PublishedFootage.read`."""
     if not is_published(config.videos):
         return Footage.open(config.videos, config.turn, config.cameras, config.fov)
     if config.cameras is not None or config.fov is not None:
@@ -251,7 +252,7 @@ def open_footage(config: IngestConfig) -> Footage:
 
 
 def up_in_words(up: UpReport) -> str:
-    """How Z is known, for people."""
+    """Return how Z is known, for people."""
     if up.source == "cameras":
         return "up: the cameras' mean up, as true as they are level; no other sign of the vertical (see --up)"
     source = {
@@ -265,7 +266,7 @@ def up_in_words(up: UpReport) -> str:
 
 
 def fire_left_in_words(left: dict[str, float], by_clip: dict[str, float] | None = None) -> str:
-    """How clean the plates are, and how they would be from the clip's own frames, for people."""
+    """Return how clean the plates are, and how they would be from the clip's own frames, for people."""
     was = {name: f" (from the clip alone {share:.1%})" for name, share in (by_clip or {}).items()}
     each = (f"{name} {share:.1%}{was.get(name, '')}" for name, share in left.items())
     words = f"fire left in the plates: {', '.join(each)}"

@@ -11,8 +11,7 @@ from rich.box import SIMPLE_HEAD
 from rich.table import Table
 
 from gof.commands.everywhere import require_free, require_writable, write_figures
-from gof.commands.read import read_options
-from gof.commands.units import Seconds
+from gof.commands.read import Seconds, read_options
 from gof.core.files import atomic_path
 from gof.core.records import write_record
 from gof.dataset import Dataset
@@ -28,9 +27,9 @@ from gof.evaluate.leaderboard import (
 )
 from gof.host.options import require_number
 from gof.host.terminal import console
+from gof.look.boards import leaderboard_html, stream_plots
 from gof.look.charts import Kind, accuracy_charts, require_figure
 from gof.look.comparison import Moment
-from gof.look.leaderboard_page import stream_plots, to_html
 from gof.look.pages import side_by_side
 
 SHOWN = (
@@ -63,13 +62,13 @@ class LeaderboardConfig:
     title: str = "Leaderboard"
     """Heading of the page."""
     time: Seconds | None = None
-    """Of pictures and stream plots; default: the held-out frame with most flame, and the middle frame."""
+    """Time of pictures and stream plots; default: the held-out frame with most flame, and the middle frame."""
     figure: tuple[Kind, ...] = ()
     """Also write the charts of accuracy against time for print: OUT/accuracy_l2.pdf and so on."""
 
 
 def main(argv: list[str]) -> int:
-    """The command line of `gof leaderboard`."""
+    """Run `gof leaderboard`."""
     config = read_options(LeaderboardConfig, "leaderboard", argv)
     require_number("--time", config.time)
     results = collect(config.folders)
@@ -89,7 +88,7 @@ def main(argv: list[str]) -> int:
     write_figures(Leaderboard(tuple(rows)))
     middle = Moment.near(dataset, len(dataset.cameras) // 2, config.time) if dataset else None
     grid = side_by_side(results, middle) if middle else None
-    page = to_html(rows, streams, config.title, grid)
+    page = leaderboard_html(rows, streams, config.title, grid)
     pages = {"csv": to_csv(rows), "md": to_markdown(rows), "html": page}
     for suffix, text in pages.items():
         with atomic_path(folder / f"leaderboard.{suffix}") as temporary:

@@ -14,7 +14,7 @@ from gof.commands.read import read_options
 from gof.core.errors import GofError
 from gof.dataset import Dataset
 from gof.dataset.pack import pack
-from gof.host.progress import progress_bar
+from gof.host.terminal import progress_bar
 
 
 @dataclass
@@ -38,7 +38,7 @@ class PackConfig:
 
 
 def main(argv: list[str]) -> int:
-    """The command line of `gof pack`."""
+    """Run `gof pack`."""
     config = read_options(PackConfig, "pack", argv)
     require_said(config)
     made = {}
@@ -55,7 +55,7 @@ def main(argv: list[str]) -> int:
 
 
 def require_said(config: PackConfig) -> None:
-    """Raises GofError: the licence or the authors are missing; it names both, and the whole command."""
+    """Raise GofError: the licence or the authors are missing; it names both, and the whole command."""
     licence, authors = config.licence.strip(), [name for name in config.authors if name.strip()]
     missing = ["--licence"] * (not licence) + ["--authors"] * (not authors)
     if missing:

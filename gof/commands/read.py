@@ -4,18 +4,21 @@ parsed by tyro."""
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TypeVar
+from pathlib import Path
+from typing import Annotated, TypeVar
 
 import tyro
 
 from gof.commands import everywhere, screens
 from gof.commands.renamed import renamed
+from gof.core.errors import GofError
+from gof.core.ladder import METAVAR
 
 C = TypeVar("C")
 
 
 def read_options(config: type[C], command: str, argv: Sequence[str]) -> C:
-    """The options of a command, as an object of its config class.
+    """Return the options of a command, as an object of its config class.
 
     Args:
         command: the words after `gof`, as "capture sync".
@@ -34,8 +37,45 @@ def read_options(config: type[C], command: str, argv: Sequence[str]) -> C:
 
 
 def _with_value(argv: list[str], option: str, word: str) -> list[str]:
-    """The arguments, where an option that stands alone has the value that it means then."""
+    """Return the arguments, where an option that stands alone has the value that it means then."""
     found = []
     for here, after in zip(argv, [*argv[1:], "--"], strict=True):
         found += [here, word] if here == option and after.startswith("--") else [here]
+    return found
+
+
+# ----------------------------------------------------------------
+# Numbers of a command line with their units, which help shows in place of the value.
+
+Seconds = Annotated[float, tyro.conf.arg(metavar="SECONDS")]
+Microseconds = Annotated[float, tyro.conf.arg(metavar="US")]
+Rate = Annotated[float, tyro.conf.arg(metavar="FPS")]
+Metres = Annotated[float, tyro.conf.arg(metavar="M")]
+Millimetres = Annotated[float, tyro.conf.arg(metavar="MM")]
+Inches = Annotated[float, tyro.conf.arg(metavar="IN")]
+Degrees = Annotated[float, tyro.conf.arg(metavar="DEG")]
+Megabytes = Annotated[float, tyro.conf.arg(metavar="MB")]
+Pixels = Annotated[int, tyro.conf.arg(metavar="PX")]
+Preset = Annotated[str, tyro.conf.arg(metavar=METAVAR)]
+
+
+# ----------------------------------------------------------------
+# Several results on a command line: RESULT, or NAME=RESULT.
+
+Results = tyro.conf.Positional[Annotated[tuple[str, ...], tyro.conf.arg(metavar="[NAME=]RESULT ...")]]
+
+
+def named(words: Sequence[str]) -> list[tuple[str | None, Path]]:
+    """Return what people call each result, None for the name of its folder or file, and where it is.
+
+    Raises:
+        GofError: there is no result.
+    """
+    if not words:
+        raise GofError("name a result: a folder of `gof reconstruct`, or a file of a method")
+    found: list[tuple[str | None, Path]] = []
+    for word in words:
+        name, equals, path = word.partition("=")
+        plain = not equals or not name or Path(word).exists()
+        found.append((None, Path(word)) if plain else (name, Path(path)))
     return found

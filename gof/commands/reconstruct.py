@@ -9,8 +9,7 @@ from typing import Annotated, ClassVar
 import tyro
 
 from gof.commands.everywhere import next_to, write_figures
-from gof.commands.read import read_options
-from gof.commands.units import Pixels, Preset
+from gof.commands.read import Pixels, Preset, read_options
 from gof.core.cameras import in_words, sizes_px
 from gof.core.errors import GofError
 from gof.dataset import Dataset

@@ -194,7 +194,7 @@ TABLE: dict[str, Changes] = {
 
 
 def renamed(command: str, argv: list[str]) -> list[str]:
-    """The arguments of a command under today's names; says on the error stream what has another name.
+    """Return the arguments of a command under today's names; says on the error stream what has another name.
 
     Raises:
         GofError: an option is no more (says what to do instead), or old names do not fit together.
@@ -250,7 +250,7 @@ def renamed(command: str, argv: list[str]) -> list[str]:
 def _with_todays_words(
     command: str, option: str, known: dict[str, str], words: list[str], rest: list[str]
 ) -> tuple[list[str], list[str]]:
-    """What is left, and the words up to an option and its values, of which old ones are replaced."""
+    """Return what is left, and the words up to an option and its values, of which old ones are replaced."""
     _, equals, value = words[-1].partition("=")
     values = [value] if equals else _values(rest, None)
     for old in values:
@@ -267,7 +267,7 @@ def _leading(argv: list[str]) -> Iterator[str]:
 
 
 def _values(rest: list[str], count: int | None) -> list[str]:
-    """The values of an option, taken from the words behind it."""
+    """Return the values of an option, taken from the words behind it."""
     found: list[str] = []
     while rest and not rest[0].startswith("--") and (count is None or len(found) < count):
         found.append(rest.pop(0))
@@ -275,7 +275,7 @@ def _values(rest: list[str], count: int | None) -> list[str]:
 
 
 def _times(number: str, factor: float) -> str:
-    """A number in another unit; what is none stays, and is refused as every wrong value is."""
+    """Return a number in another unit; what is none stays, and is refused as every wrong value is."""
     try:
         return f"{float(number) * factor:.12g}"
     except ValueError:
@@ -283,7 +283,7 @@ def _times(number: str, factor: float) -> str:
 
 
 def _put_behind(words: list[str], option: str, added: list[str]) -> list[str]:
-    """The words with more values of an option, which is added where it is not among them."""
+    """Return the words with more values of an option, which is added where it is not among them."""
     if option not in words:
         return [*words, option, *added]
     end = words.index(option) + 1

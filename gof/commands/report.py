@@ -15,13 +15,12 @@ from gof.commands.video import camera_number
 from gof.core.costs import StageCost, StageLog
 from gof.dataset import Dataset
 from gof.evaluate.scores import Scores
-from gof.host.progress import progress_bar
+from gof.host.terminal import progress_bar
 from gof.look.animation import brightest_frame
 from gof.look.charts import Kind, frame_chart, require_figure
-from gof.look.fire_removal import fire_removal
+from gof.look.comparison import fire_removal
 from gof.look.pages import page_pictures
-from gof.look.preview import Preview
-from gof.look.report import build_report
+from gof.look.report import Preview, build_report
 
 
 @dataclass
@@ -48,7 +47,7 @@ class ReportConfig:
 
 
 def main(argv: list[str]) -> int:
-    """The command line of `gof report`."""
+    """Run `gof report`."""
     config = read_options(ReportConfig, "report", argv)
     out = config.out_dir
     scores = Scores.read(out / "scores.json")
@@ -83,7 +82,7 @@ def main(argv: list[str]) -> int:
 
 
 def _renamed(camera: str, dataset: Dataset) -> str:
-    """The camera's name, also where its number was given, as in the version before."""
+    """Return the camera's name, also where its number was given, as in the version before."""
     names = [known.name for known in dataset.cameras]
     if camera in names or not camera.isdecimal() or int(camera) >= len(names):
         return camera
@@ -98,6 +97,6 @@ def _result_in(out: Path) -> Path:
 
 
 def _stages(folders: list[Path]) -> list[StageCost]:
-    """What the costs.json of the folders say, each folder once."""
+    """Return what the costs.json of the folders say, each folder once."""
     once = dict.fromkeys(folder.resolve() for folder in folders)
     return [stage for folder in once for stage in StageLog(folder / "costs.json").stages()]

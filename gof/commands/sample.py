@@ -41,7 +41,7 @@ class SampleConfig:
 
 
 def main(argv: list[str]) -> int:
-    """The command line of `gof sample`."""
+    """Run `gof sample`."""
     config = read_options(SampleConfig, "sample", argv)
     count, size = unpack_sample(config.out)
     for name, text in CONTENTS.items():

@@ -17,12 +17,12 @@ LEAST_COLUMNS, MOST_COLUMNS, BEGIN = 60, 110, 24
 
 
 def asked_for(argv: Sequence[str]) -> bool:
-    """Whether a command line asks for help."""
+    """Return whether a command line asks for help."""
     return any(word in (*SHORT, WHOLE) for word in argv)
 
 
 def of_command(config: type, command: str, whole: bool = False) -> str:
-    """The help screen of a command.
+    """Return the help screen of a command.
 
     Args:
         whole: with all options and everything that the docstring says.
@@ -55,7 +55,7 @@ def of_command(config: type, command: str, whole: bool = False) -> str:
 
 
 def _parts(text: str) -> tuple[str, list[str], list[str]]:
-    """A docstring's first paragraph, the others, and its examples."""
+    """Return a docstring's first paragraph, the others, and its examples."""
     text, _, examples = text.partition(f"{EXAMPLES}\n")
     first, *more = [" ".join(part.split()) for part in text.strip().split("\n\n")]
     lines, _, after = examples.partition("\n\n")
@@ -86,7 +86,7 @@ def _filled(text: str) -> str:
 
 
 def _listed(rows: Iterable[tuple[str, str]]) -> str:
-    """Two columns; a long name has a line of its own."""
+    """Return two columns; a long name has a line of its own."""
     lines = []
     for name, text in rows:
         body = textwrap.wrap(text, _columns() - BEGIN, break_on_hyphens=False, break_long_words=False) or [""]

@@ -7,13 +7,10 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 
 from gof.commands.everywhere import beside, require_free, write_figures
-from gof.commands.read import read_options
-from gof.commands.results import Results, named
-from gof.commands.units import Megabytes
+from gof.commands.read import Megabytes, Results, named, read_options
 from gof.dataset import Dataset
 from gof.host.options import require_number
-from gof.host.progress import progress_bar
-from gof.host.terminal import console
+from gof.host.terminal import console, progress_bar
 from gof.look.player.opened import dataset_beside, open_result
 from gof.look.player.page import in_words, share_page
 
@@ -28,7 +25,7 @@ class ShareConfig:
       gof share ours=out/fire theirs=out/other.ply --dataset data/fire      side by side, with one camera
 
     It has the Gaussians themselves (quantised; what that costs is measured and printed), so that one can stop time,
-    play at 1/100 of the speed, turn the camera, colour by speed or by its doubt, and show velocity lines. With
+    play at 1/100 of the speed, turn the camera, colour by speed or its uncertainty, and show velocity lines. With
     --dataset it also has the dataset's cameras, the scene behind the flame, the recorded pictures, and the true
     velocity where it is known.
     """
@@ -43,13 +40,13 @@ class ShareConfig:
     title: str | None = None
     """Heading; default: the dataset's name."""
     pictures: Megabytes = 2.0
-    """What recorded pictures may take; 0 leaves them out."""
+    """Room for recorded pictures; 0 leaves them out."""
     open: bool = False
     """Open the file in the browser of this machine."""
 
 
 def main(argv: list[str]) -> int:
-    """The command line of `gof share`."""
+    """Run `gof share`."""
     config = read_options(ShareConfig, "share", argv)
     require_number("--pictures", config.pictures, least=0, most=1000)
     asked = named(config.results)

@@ -11,7 +11,7 @@ import tyro
 from gof.commands.everywhere import require_writable, write_figures
 from gof.commands.read import read_options
 from gof.dataset.pack import unpack, verify
-from gof.host.progress import progress_bar
+from gof.host.terminal import progress_bar
 
 
 @dataclass
@@ -31,7 +31,7 @@ class UnpackConfig:
 
 
 def main(argv: list[str]) -> int:
-    """The command line of `gof unpack`."""
+    """Run `gof unpack`."""
     config = read_options(UnpackConfig, "unpack", argv)
     folders = []
     for archive in config.archives:

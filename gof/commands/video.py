@@ -9,9 +9,7 @@ from typing import Annotated, ClassVar
 import tyro
 
 from gof.commands.everywhere import beside, write_figures
-from gof.commands.read import read_options
-from gof.commands.results import Results, named
-from gof.commands.units import Pixels, Rate
+from gof.commands.read import Pixels, Rate, Results, named, read_options
 from gof.core.cameras import Camera
 from gof.core.errors import GofError
 from gof.core.files import digest, read_json
@@ -21,11 +19,10 @@ from gof.dataset import Dataset
 from gof.dataset.plates import background
 from gof.evaluate.scoring import is_flame_alone
 from gof.host.options import require_number, require_positive
-from gof.host.progress import progress_bar
-from gof.host.terminal import console
+from gof.host.terminal import console, progress_bar
 from gof.io.importers import ImportOptions
-from gof.io.importers.said import with_said
-from gof.look.encoder import STILL, require_film
+from gof.io.importers.sidecar import with_said
+from gof.look.animation import STILL, require_film
 from gof.look.film import FilmOptions, Recorded, fitted, make_film
 from gof.look.panels import Panel, Subject
 from gof.look.path import Clock, Journey, Shot, Way, clock, orbit, shots, stay, through
@@ -70,7 +67,7 @@ class FilmStyle:
 
     @classmethod
     def read(cls, words: tuple[str, ...]) -> FilmStyle:
-        """The style that words KEY=VALUE and JSON files say; later ones replace what earlier ones said.
+        """Return the style that words KEY=VALUE and JSON files say; later ones replace what earlier ones said.
 
         Raises:
             GofError: a word is neither; a field that there is not, or a value that it cannot have (names it).
@@ -90,7 +87,7 @@ class FilmStyle:
 
 
 def _value(word: str) -> bool | float | str:
-    """A value as JSON has it."""
+    """Return a value as JSON has it."""
     known = {"yes": True, "true": True, "no": False, "false": False}
     if word.lower() in known:
         return known[word.lower()]
@@ -132,20 +129,20 @@ class VideoConfig:
     camera_path: Way = "orbit"
     """Where the camera goes: around the flame; through the dataset's cameras and back; or it stays in one."""
     mode: Clock = "play"
-    """What time does: plays; stands still (freeze); plays, stops while the camera goes its way, plays on (bullet)."""
+    """Course of time: plays; stands still (freeze); plays, stops while the camera goes its way, plays on (bullet)."""
     panels: tuple[Panel, ...] = ("rgb", "depth", "velocity", "reduced")
-    """What is shown side by side; `error` is the difference to what was recorded, black 0, bright 0.5 or more."""
+    """Panels side by side; `error` is the difference to what was recorded, black 0, bright 0.5 or more."""
     max_size: Pixels | None = None
     """Longer side of a panel; default: the camera's size, at most 720 high."""
     fps: Rate = 30.0
-    """Of the film."""
+    """Frames per second of the film."""
     style: Annotated[tuple[str, ...], tyro.conf.arg(metavar="KEY=VALUE|FILE.json")] = ()
     """How it looks: recorded, camera, slow, seconds, stop, degrees, scene, reduced, keep_frames; --help-all explains
     them."""
 
 
 def main(argv: list[str]) -> int:
-    """The command line of `gof video`."""
+    """Run `gof video`."""
     config = read_options(VideoConfig, "video", argv)
     style = FilmStyle.read(config.style)
     _check(config, style)
@@ -209,7 +206,7 @@ def _span(results: list[Opened], dataset: Dataset | None) -> tuple[float, float]
 
 
 def camera_number(name: str | None, dataset: Dataset | None, option: str = "--camera") -> int | None:
-    """Of the dataset's camera of that name, by default the middle one; None without a dataset."""
+    """Return the number of the dataset's camera of that name, by default the middle one; None without a dataset."""
     if dataset is None:
         if name is not None:
             raise GofError(f"{option} {name}: cameras are a dataset's; add --dataset")
@@ -240,7 +237,7 @@ def _journey(
 
 
 def _sized(camera: Camera, max_size: int | None) -> Camera:
-    """The camera for panels of that longer side, in whole pixels."""
+    """Return the camera for panels of that longer side, in whole pixels."""
     height = min(camera.height, 720)
     if max_size is not None:
         height = max(1, round(camera.height * max_size / max(camera.width, camera.height)))
@@ -264,7 +261,7 @@ def _subjects(
     first: Shot,
     config: VideoConfig,
 ) -> tuple[list[Subject], dict[str, str]]:
-    """The results with what lies behind them, and the latter in words by name."""
+    """Return the results with what lies behind them, and the latter in words by name."""
     subjects, words = [], {}
     for result in results:
         plate, scene = None, None
@@ -285,7 +282,7 @@ def _subjects(
 
 
 def _made_of(style: FilmStyle, results: list[Opened], dataset: Dataset | None) -> str:
-    """Which files the film is of, by their content, and how they were read."""
+    """Return which files the film is of, by their content, and how they were read."""
     files = [result.path for result in results] + ([Path(style.scene)] if style.scene else [])
     said = [with_said(result.path, ImportOptions())[0] for result in results]
     digests = [digest(file) if file.is_file() else str(file.resolve()) for file in files]

@@ -40,7 +40,7 @@ class ViewConfig:
 
 
 def main(argv: list[str]) -> int:
-    """The command line of `gof view`; ends with Ctrl-C."""
+    """Run `gof view`; ends with Ctrl-C."""
     if any(word.partition("=")[0] == "--host" for word in argv):  # of 0.2
         raise GofError(
             f"--host: the page is for this machine alone now; from another, ssh -L 8080:{HOST}:PORT with the --port "

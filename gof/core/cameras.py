@@ -92,7 +92,7 @@ class Camera:
         return -R.T @ t
 
     def to_camera(self, points: np.ndarray) -> np.ndarray:
-        """World points (N, 3) in metres to camera axes (N, 3) in metres."""
+        """Convert world points (N, 3) in metres to camera axes (N, 3) in metres."""
         return np.asarray(points, np.float64) @ self.world_to_camera[:3, :3].T + self.world_to_camera[:3, 3]
 
     def project(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -113,7 +113,8 @@ class Camera:
         return pixels, depth
 
     def unproject(self, pixels: np.ndarray, depth: np.ndarray) -> np.ndarray:
-        """World points (N, 3) in metres of pixels (N, 2), as `project` gives them, at camera depths (N,) in metres."""
+        """Return world points (N, 3) in metres of pixels (N, 2), as `project` gives them, at camera depths (N,) in
+        metres."""
         rays = np.column_stack([pixels, np.ones(len(pixels))]) @ np.linalg.inv(self.K).T  # at depth 1
         local = rays * np.asarray(depth, np.float64)[:, None]
         return (local - self.world_to_camera[:3, 3]) @ self.world_to_camera[:3, :3]
@@ -129,7 +130,7 @@ class Camera:
         return self.K[:2, :2] @ d_uv @ self.world_to_camera[:3, :3]
 
     def measured_from(self, datum: Datum) -> Camera:
-        """The same camera in a world whose zero is the datum's place."""
+        """Return the same camera in a world whose zero is the datum's place."""
         if not any(datum.position):
             return self
         pose = self.world_to_camera.copy()
@@ -137,7 +138,7 @@ class Camera:
         return replace(self, world_to_camera=pose)
 
     def scaled(self, width: int, height: int) -> Camera:
-        """The same camera for an image resampled to width x height (row time per image line scales with it)."""
+        """Return the same camera for an image resampled to width x height (row time per image line scales with it)."""
         sx, sy = width / self.width, height / self.height
         lines = sx if self.readout in ("left", "right") else sy
         return Camera(
@@ -151,9 +152,9 @@ class Camera:
         )
 
     def cropped(self, x: int, y: int, width: int, height: int) -> Camera:
-        """The camera of a part of the picture.
+        """Return the camera of a part of the picture.
 
-        A rolling shutter reads the part's first line later than the whole picture's; nobody here knows of times.
+        A rolling shutter reads the part's first line later than the whole picture's; times are not known here.
 
         Args:
             x, y: px, first column and row of the part.   width, height: px, > 0.
@@ -212,7 +213,7 @@ def _says(value: Any) -> bool:
 
 
 def names_by_pictures(pictures: Sequence[str]) -> list[str]:
-    """What cameras are called by the names of their pictures.
+    """Return what cameras are called by the names of their pictures.
 
     `cam_0.png` and `cam_0/000001.png` are of camera `cam_0`, and so is `static/cam_0.png` where all pictures lie in one
     folder. Folders may be written with backslashes.
@@ -224,11 +225,11 @@ def names_by_pictures(pictures: Sequence[str]) -> list[str]:
 
 
 def sizes_px(cameras: Iterable[Camera]) -> tuple[tuple[int, int], ...]:
-    """The different picture sizes, (width, height), in the cameras' order: what a picture's score depends on."""
+    """Return the different picture sizes, (width, height), in the cameras' order: what a picture's score depends on."""
     return tuple(dict.fromkeys((camera.width, camera.height) for camera in cameras))
 
 
 def in_words(sizes: Iterable[tuple[int, int]]) -> str:
-    """Picture sizes for people: "480x854 px"; "" when none is known."""
+    """Return picture sizes for people: "480x854 px"; "" when none is known."""
     words = ", ".join(f"{width}x{height}" for width, height in sizes)
     return f"{words} px" if words else ""

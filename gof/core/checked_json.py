@@ -25,7 +25,7 @@ def require(condition: bool, name: str, rule: str, value: Any) -> None:
 
 
 def _shown(value: Any) -> str:
-    """A value in an error, at most 80 characters of it."""
+    """Return a value in an error, at most 80 characters of it."""
     try:
         text = repr(value)
     except ValueError:  # an integer of thousands of digits
@@ -36,7 +36,8 @@ def _shown(value: Any) -> str:
 def from_dict(cls: type, data: Any, prefix: str, ignore_unknown: bool = False) -> Any:
     """Build dataclass ``cls`` from a JSON object.
 
-    A field named like a Python keyword has a trailing underscore that its key has not (`import_`, "import").
+    A field named like a Python keyword has a trailing underscore that its key has not (`import_`, "import"). A class
+    with fields that had other names in an older version lists these: FORMER = {old name: name}.
 
     Args:
         prefix: what names its fields in errors, such as "fire.".
@@ -46,6 +47,8 @@ def from_dict(cls: type, data: Any, prefix: str, ignore_unknown: bool = False) -
         SpecError: a field is unknown, missing, of the wrong type, or refused by the class.
     """
     require(isinstance(data, dict), prefix.rstrip(".") or "it", "an object", data)
+    if former := getattr(cls, "FORMER", None):
+        data = {former.get(key, key): value for key, value in data.items()}
     fields, required = _fields(cls)
     unknown = sorted(data.keys() - fields.keys())
     if unknown and not ignore_unknown:
@@ -63,7 +66,7 @@ def from_dict(cls: type, data: Any, prefix: str, ignore_unknown: bool = False) -
 
 @functools.cache
 def _fields(cls: type) -> tuple[dict[str, tuple[str, Any]], list[str]]:
-    """Of a dataclass: key in JSON -> name and type of its field; the keys that must be there."""
+    """Return, for a dataclass, key in JSON -> name and type of its field; and the keys that must be there."""
     hints, all_fields = typing.get_type_hints(cls), dataclasses.fields(cls)
     known = {item.name.removesuffix("_"): (item.name, hints[item.name]) for item in all_fields if item.init}
     return known, [item.name.removesuffix("_") for item in all_fields if item.init and not _is_optional(item)]
@@ -74,7 +77,7 @@ def _is_optional(item: dataclasses.Field) -> bool:
 
 
 def _value(hint: Any, value: Any, name: str, ignore_unknown: bool) -> Any:
-    """A field's value of the annotated type; ``name`` is what errors call it."""
+    """Return a field's value of the annotated type; ``name`` is what errors call it."""
     optional, hints = _options(hint)
     if value is None and optional:
         return value
@@ -100,14 +103,14 @@ def _value(hint: Any, value: Any, name: str, ignore_unknown: bool) -> Any:
 
 @functools.cache
 def _options(hint: Any) -> tuple[bool, tuple[Any, ...]]:
-    """Whether a type allows None, and what else it allows."""
+    """Return whether a type allows None, and what else it allows."""
     several = typing.get_origin(hint) in (typing.Union, types.UnionType)
     options = typing.get_args(hint) if several else (hint,)
     return type(None) in options, tuple(item for item in options if item is not type(None))
 
 
 def _chosen(hints: tuple[Any, ...], value: Any) -> Any:
-    """Of several dataclasses the first whose required fields are all there, otherwise the last."""
+    """Return the first of several dataclasses whose required fields are all there, otherwise the last."""
     for hint in hints[:-1]:
         if isinstance(value, dict) and set(_fields(hint)[1]) <= set(value):
             return hint

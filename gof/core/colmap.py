@@ -58,7 +58,7 @@ def read_colmap(folder: Path) -> tuple[Poses, np.ndarray]:
 
 
 def read_cameras(folder: Path) -> list[tuple[Image, Lens]]:
-    """The images of a model, in its order, each with its lens.
+    """Return the images of a model, in its order, each with its lens.
 
     Raises:
         DataFormatError: as `read_colmap`, a lens with distortion, or an image whose lens is not there.
@@ -75,7 +75,7 @@ def read_cameras(folder: Path) -> list[tuple[Image, Lens]]:
 
 
 def name_model(path: Path) -> str:
-    """The path in words; of a project with several COLMAP models, which one is read and what the others hold."""
+    """Return the path in words; of a project with several COLMAP models, which one is read and what the others hold."""
     if not path.is_dir() or len(models := _models_in(path)) < 2:
         return str(path)
     used = _largest(models)
@@ -84,7 +84,7 @@ def name_model(path: Path) -> str:
 
 
 def _models_in(folder: Path) -> list[Path]:
-    """The models of a folder or a project, in order of their numbers."""
+    """Return the models of a folder or a project, in order of their numbers."""
 
     def numbered(parent: Path) -> list[Path]:
         found = parent.iterdir() if parent.is_dir() else ()
@@ -106,7 +106,7 @@ def _poses_of(folder: Path) -> Poses:
 
 
 def _images_of(folder: Path) -> list[Image]:
-    """Raises DataFormatError: the file is damaged, or two images have the same name."""
+    """Read the images. Raises DataFormatError: the file is damaged, or two images have the same name."""
     images, names = _read(folder, "images", _binary_images, _text_images), set()
     for image in images:
         if image.name in names:
@@ -116,7 +116,7 @@ def _images_of(folder: Path) -> list[Image]:
 
 
 def _read(folder: Path, what: str, of_bytes: Callable[[bytes], list], of_lines: Callable[[list[Line]], list]) -> list:
-    """What the model's images, cameras or points are."""
+    """Return what the model's images, cameras or points are."""
     binary = (folder / "images.bin").is_file()
     path = folder / f"{what}.{'bin' if binary else 'txt'}"
     try:
@@ -129,7 +129,7 @@ def _read(folder: Path, what: str, of_bytes: Callable[[bytes], list], of_lines: 
 
 
 def _lines(path: Path) -> list[Line]:
-    """Numbers and texts of the lines that are no comments. What is not UTF-8 may stand in comments only."""
+    """Return numbers and texts of the lines that are no comments. What is not UTF-8 may stand in comments only."""
     lines = enumerate(read_text(path, "surrogateescape").split("\n"), 1)
     return [(number, line.strip()) for number, line in lines if not line.lstrip().startswith("#")]
 
@@ -160,18 +160,18 @@ def _text_images(lines: list[Line]) -> list[Image]:
 
 
 def _is_image(line: str) -> bool:
-    """Whether a line says "number pose camera name"; the name is all that is left, blanks too."""
+    """Return whether a line says "number pose camera name"; the name is all that is left, blanks too."""
     words = line.split(maxsplit=9)
     return len(words) == 10 and words[0].isdecimal() and words[8].isdecimal() and _are_numbers(words[1:8])
 
 
 def _turns(line: str) -> bool:
-    """Whether the second to fifth word are a quaternion of length 1, which no observations in pixels are."""
+    """Return whether the second to fifth word are a quaternion of length 1, which no observations in pixels are."""
     return abs(np.linalg.norm([float(word) for word in line.split()[1:5]]) - 1) < 1e-2
 
 
 def _is_observations(line: str) -> bool:
-    """Whether a line says "x y point", any number of times."""
+    """Return whether a line says "x y point", any number of times."""
     words = line.split()
     return len(words) % 3 == 0 and _are_whole(words[2::3]) and _are_numbers(words)
 
@@ -264,7 +264,7 @@ def _binary_points(data: bytes) -> list[tuple[float, ...]]:
 
 
 def _lens(model: str, width: int, height: int, values: list[float]) -> Lens:
-    """Raises ValueError: it has distortion, or is no lens."""
+    """Read a lens. Raises ValueError: it has distortion, or is no lens."""
     if model not in MODELS:
         raise ValueError(f"{model[:40]} is no PINHOLE or SIMPLE_PINHOLE: run COLMAP's image_undistorter")
     if len(values) != 3 + MODELS.index(model):
@@ -278,7 +278,7 @@ def _lens(model: str, width: int, height: int, values: list[float]) -> Lens:
 
 
 def _pose(values: tuple[float, ...]) -> np.ndarray:
-    """(4, 4) world_to_camera of a quaternion wxyz and a translation."""
+    """Return (4, 4) world_to_camera of a quaternion wxyz and a translation."""
     quaternion = np.array([values[:4]])
     if not quaternion.any():
         raise ValueError("a zero quaternion")
@@ -289,7 +289,7 @@ def _pose(values: tuple[float, ...]) -> np.ndarray:
 
 
 def check_poses(poses: Poses, path: Path) -> None:
-    """Raises DataFormatError: one of the matrices is not a rotation and a shift (names it)."""
+    """Raise DataFormatError: one of the matrices is not a rotation and a shift (names it)."""
     for name, pose in poses.items():
         R = pose[:3, :3]
         if (

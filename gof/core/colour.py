@@ -29,7 +29,7 @@ def linear_to_srgb(x: np.ndarray) -> np.ndarray:
 
 
 def direction_colors(flow: np.ndarray, longest: float) -> np.ndarray:
-    """(..., 2) px/s to (..., 3) display colours: hue is the direction, brightness the length up to `longest`.
+    """Convert (..., 2) px/s to (..., 3) display colours: hue is the direction, brightness the length up to `longest`.
 
     The palette runs around a circle of equal chroma in a perceptual space (OKLab), so that no direction looks faster
     than another; up is a blue that no flame has.

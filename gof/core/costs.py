@@ -14,7 +14,7 @@ from .records import read_record, write_record
 
 @dataclass(frozen=True)
 class StageCost:
-    """What a stage cost: wall seconds, peak resident memory in MB, and the settings that explain them."""
+    """The cost of a stage: wall seconds, peak resident memory in MB, and the settings that explain them."""
 
     name: str
     seconds: float
@@ -50,11 +50,12 @@ class StageLog:
         self._counted = time.perf_counter()  # until when `wall_s` counts this run
 
     def costs(self) -> Costs:
-        """What is in the file; nothing before the first stage. Raises DataFormatError: not a `gof-costs` record."""
+        """Return what is in the file; nothing before the first stage. Raises DataFormatError: not a `gof-costs`
+        record."""
         return read_record(Costs, self.path) if self.path.exists() else Costs()
 
     def stages(self) -> tuple[StageCost, ...]:
-        """The stages of `costs`, in the order in which they were first recorded."""
+        """Return the stages of `costs`, in the order in which they were first recorded."""
         return self.costs().stages
 
     def record(
@@ -91,7 +92,7 @@ class StageLog:
 
 
 def peak_memory_mb() -> float:
-    """The most memory this process has held so far, in MB; 0 where it is not known (Windows without psutil)."""
+    """Return the most memory this process has held so far, in MB; 0 where it is not known (Windows without psutil)."""
     status = Path("/proc/self/status")
     if status.is_file():  # getrusage would count what the process that started this one had in memory
         return int(status.read_text(encoding="utf-8").partition("VmHWM:")[2].split()[0]) / 2**10

@@ -11,8 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from .errors import DataFormatError
-from .precision import MOST, rounded_off
+from .errors import DataFormatError, GofError
 
 WORLD = 1e-5  # of the distance between cameras, that float32 may round a place by
 
@@ -26,7 +25,8 @@ class Datum:
 
     @classmethod
     def of(cls, centres: np.ndarray, times_s: np.ndarray) -> Datum:
-        """Of cameras at `centres` (C, 3) m and frames at `times_s` (T,) s; zeros where float32 has digits to spare.
+        """Return that of cameras at `centres` (C, 3) m and frames at `times_s` (T,) s; zeros where float32 has digits
+        to spare.
 
         The world's is a round number amid the cameras, the clock's is the first frame.
         """
@@ -43,7 +43,7 @@ class Datum:
 
     @classmethod
     def from_numbers(cls, numbers: np.ndarray, source: object) -> Datum:
-        """Of x, y, z (m) and t (s), as files hold it. Raises DataFormatError: not four finite numbers."""
+        """Build one from x, y, z (m) and t (s), as files hold it. Raises DataFormatError: not four finite numbers."""
         try:
             x, y, z, t = np.asarray(numbers, np.float64).reshape(4).tolist()
         except (TypeError, ValueError) as e:
@@ -53,9 +53,38 @@ class Datum:
         return cls((x, y, z), t)
 
     def numbers(self) -> np.ndarray:
-        """(4,) float64: x, y, z (m) and t (s)."""
+        """Return (4,) float64: x, y, z (m) and t (s)."""
         return np.array([*self.position, self.time_s])
 
     def __bool__(self) -> bool:
-        """Whether anything is moved."""
+        """Return whether anything is moved."""
         return bool(self.numbers().any())
+
+
+# ----------------------------------------------------------------
+# What float32 rounds off. Results hold times and places as float32, which knows seven digits and no more.
+
+MOST = 0.01  # of the least difference that matters
+
+
+def rounded_off(values: np.ndarray) -> float:
+    """Return how far apart neighbouring float32 numbers are at the largest of some values, in their unit."""
+    largest = np.abs(np.asarray(values, np.float64)).max(initial=0.0)
+    return float(np.spacing(np.float32(min(largest, 1e38))))
+
+
+def require_digits(what: str, values: np.ndarray, least: float, remedy: str, most: float = MOST) -> None:
+    """Make sure that float32 tells values apart that differ by a hundredth of `least`.
+
+    Args:
+        what: "the dataset's clock"; `least`: a frame's time, a voxel; `remedy`: what to do.
+    Raises:
+        GofError: it does not, with figures.
+    """
+    step = rounded_off(values)
+    if least > 0 and step > most * least:
+        largest = np.abs(values).max()
+        raise GofError(
+            f"{what} reaches {largest:.4g}, where float32 numbers, which results are made of, are {step:.2g} apart: "
+            f"{step / least:.0%} of {least:.2g}, the least that matters. {remedy}"
+        )

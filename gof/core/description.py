@@ -34,7 +34,8 @@ class Splits:
 
 
 def held_out(count: int, first: int = TEST_FIRST) -> Splits:
-    """The splits of a clip of `count` frames by the paper's rule; `first` is the first frame that is held out."""
+    """Return the splits of a clip of `count` frames by the paper's rule; `first` is the first frame that is held
+    out."""
     test = tuple(range(first, count, TEST_EVERY))
     return Splits(tuple(k for k in range(count) if k not in test), test)
 
@@ -76,7 +77,7 @@ class CameraEntry:
 
     @classmethod
     def of(cls, camera: Camera, **fields: Any) -> CameraEntry:
-        """The entry of a camera; `fields` are those that a `Camera` does not have."""
+        """Return the entry of a camera; `fields` are those that a `Camera` does not have."""
         return cls(**camera.to_dict(), **fields)
 
     def file_name(self, kind: str, frame: int = 0) -> str | None:
@@ -85,13 +86,13 @@ class CameraEntry:
         return None if pattern is None else FRAME.sub(lambda m: f"{frame:0{m[1] or 1}d}", pattern)
 
     def measured_from(self, datum: Datum) -> CameraEntry:
-        """The same camera where the datum is the zero of world and clock."""
+        """Return the same camera where the datum is the zero of world and clock."""
         own = self.time_s and tuple(time_s - datum.time_s for time_s in self.time_s)
         pose = self.camera().measured_from(datum).world_to_camera
         return replace(self, world_to_camera=tuple(map(tuple, pose.tolist())), time_s=own)
 
     def camera(self) -> Camera:
-        """Raises DataFormatError or NonFiniteError: the matrices are not a camera's."""
+        """Return its camera. Raises DataFormatError or NonFiniteError: the matrices are not a camera's."""
         return Camera(self.name, self.width, self.height, self.K, self.world_to_camera, self.row_time_s, self.readout)
 
 
@@ -138,16 +139,17 @@ class DatasetDescription:
 
     @property
     def datum(self) -> Datum:
-        """What whoever computes in float32 measures places and times from; zeros where the dataset lies near zero."""
+        """Return what whoever computes in float32 measures places and times from; zeros where the dataset lies near
+        zero."""
         centres = [camera.position for camera in self.cameras_from(Datum(), "train")]
         return Datum.of(np.array(centres), np.array(self.time_s))
 
     def cameras_from(self, datum: Datum, *roles: str) -> list[Camera]:
-        """The cameras of these roles, in file order, measured from the datum."""
+        """Return the cameras of these roles, in file order, measured from the datum."""
         return [entry.camera().measured_from(datum) for entry in self.cameras if entry.role in roles]
 
     def measured_from(self, datum: Datum) -> DatasetDescription:
-        """The same cameras and times where the datum is the zero of world and clock."""
+        """Return the same cameras and times where the datum is the zero of world and clock."""
         return replace(
             self,
             cameras=tuple(entry.measured_from(datum) for entry in self.cameras),
@@ -225,12 +227,12 @@ class DatasetDescription:
 
 
 def _as_file_system(name: str) -> str:
-    """What is the same for two names of one file on systems that mind neither case nor the form of letters."""
+    """Return what is the same for two names of one file on systems that mind neither case nor the form of letters."""
     return unicodedata.normalize("NFC", name).casefold()
 
 
 def _require_inside(field_name: str, path: str | None) -> None:
-    """A name of a file in the dataset, or a pattern of such names."""
+    """Require a name of a file in the dataset, or a pattern of such names."""
     if path is not None and not is_relative_path(FRAME.sub("0", path)):
         raise DataFormatError(f"{field_name}: {path[:80]!r} cannot be the name of a file in the dataset")
 

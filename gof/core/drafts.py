@@ -19,7 +19,7 @@ _cleaned: set[Path] = set()  # folders in which this process has looked for draf
 
 
 def draft_of(path: Path) -> Path:
-    """A name beside `path`, with its ending, that no other run uses.
+    """Return a name beside `path`, with its ending, that no other run uses.
 
     The first time in a folder, drafts there are removed whose run has ended: no command comes back to them.
     """
@@ -63,7 +63,7 @@ def whole_folder(path: Path) -> Iterator[Path]:
 
 
 def _is_left(host: str, process: int, changed_s: float) -> bool:
-    """Whether the run that made a draft has ended."""
+    """Return whether the run that made a draft has ended."""
     if host != HOST or os.name != "posix":  # elsewhere there is no asking that does no harm
         return time.time() - changed_s > LONG_S
     try:

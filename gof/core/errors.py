@@ -8,7 +8,8 @@ LONGEST = 4000  # characters of a message
 
 
 def printable(text: str) -> str:
-    """The text with a replacement for every character that is not seen but acts: on terminals, or on reading order."""
+    """Return the text with a replacement for every character that is not seen but acts: on terminals, or on reading
+    order."""
     return "".join(c if c.isprintable() or c in "\n\t" else "\ufffd" for c in text)
 
 

@@ -8,6 +8,7 @@ from copy import copy
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
+from typing import TypeVar
 
 import numpy as np
 
@@ -17,6 +18,7 @@ from .zarr_array import ZarrArray
 
 SCHEMA, GRID, VERSION = "gof-velocity", "gof-grid", 1  # of velocity; of any other quantity
 CHUNK = 64  # cells a side: 1.5 MB of float16, small enough to read a flame out of a large domain
+S = TypeVar("S", bound="GridSequence")
 SAME_TIME_S = 1e-6  # a stored frame this near to a time is the frame of that time
 LARGEST, LARGEST_CHUNK = 4096, 256  # cells a side; a file that claims more is refused: twice what a scene may ask for
 LARGEST_CHUNK_BYTES = 2**29
@@ -47,7 +49,8 @@ class VelocityField:
 
     @classmethod
     def from_array(cls, velocity: np.ndarray, origin, voxel_size: float, time_s: float = 0.0) -> VelocityField:
-        """An axis-aligned field: velocity (X, Y, Z, 3) m/s; origin (3,) m, min corner of cell (0,0,0); voxel_size m."""
+        """Return an axis-aligned field: velocity (X, Y, Z, 3) m/s; origin (3,) m, min corner of cell (0,0,0);
+        voxel_size m."""
         if not voxel_size > 0:
             raise DataFormatError(f"voxel_size must be positive, got {voxel_size}")
         index_to_world = np.diag([voxel_size, voxel_size, voxel_size, 1.0])
@@ -64,7 +67,7 @@ class VelocityField:
         return float(np.cbrt(abs(np.linalg.det(self.index_to_world[:3, :3]))))
 
     def to_index(self, points: np.ndarray) -> np.ndarray:
-        """World points (N, 3) m to continuous cell index (N, 3): the centre of cell i has index i + 0.5."""
+        """Convert world points (N, 3) m to continuous cell index (N, 3): the centre of cell i has index i + 0.5."""
         inverse = self._world_to_index
         return np.asarray(points, np.float64) @ inverse[:3, :3].T + inverse[:3, 3]
 
@@ -73,17 +76,18 @@ class VelocityField:
         return np.linalg.inv(self.index_to_world)
 
     def cell_centers(self) -> np.ndarray:
-        """(X, Y, Z, 3) world position of every cell centre, m."""
+        """Return (X, Y, Z, 3) world position of every cell centre, m."""
         index = np.stack(np.meshgrid(*(np.arange(n) + 0.5 for n in self.resolution), indexing="ij"), -1)
         return index @ self.index_to_world[:3, :3].T + self.index_to_world[:3, 3]
 
     def contains(self, points: np.ndarray) -> np.ndarray:
-        """(N,) bool: inside the domain box (all cells, including their outer halves). NaN points are outside."""
+        """Return (N,) bool: inside the domain box (all cells, including their outer halves). NaN points are outside."""
         index = self.to_index(points)
         return ((index >= 0) & (index <= self.resolution)).all(-1)
 
     def chunk(self, number: tuple[int, int, int]) -> np.ndarray | None:
-        """Cells [CHUNK i, CHUNK (i + 1)) per axis, (<=64, <=64, <=64, 3), clipped to the grid; None if all are zero."""
+        """Return cells [CHUNK i, CHUNK (i + 1)) per axis, (<=64, <=64, <=64, 3), clipped to the grid; None if all are
+        zero."""
         cells = self.velocity[tuple(slice(CHUNK * i, CHUNK * (i + 1)) for i in number)]
         return cells if cells.any() else None
 
@@ -103,7 +107,7 @@ class VelocityField:
 
 
 def trilinear(grid: np.ndarray, coordinate: np.ndarray) -> np.ndarray:
-    """Values between cell centres; outside of them that of the nearest.
+    """Return values between cell centres; outside of them that of the nearest.
 
     Args:
         grid: (X, Y, Z, C).   coordinate: (N, 3) in cells, 0 at the centre of the first one.
@@ -181,8 +185,8 @@ class GridSequence:
         if not is_affine(self.index_to_world):
             raise DataFormatError(f"{path}: index_to_world must be a finite, invertible 4x4 matrix")
 
-    def measured_from(self, datum: Datum) -> GridSequence:
-        """The same store in a world and on a clock whose zeros are the datum's."""
+    def measured_from(self: S, datum: Datum) -> S:
+        """Return the same store in a world and on a clock whose zeros are the datum's."""
         moved = copy(self)
         moved.times_s = self.times_s - datum.time_s
         moved.index_to_world = self.index_to_world.copy()
@@ -201,7 +205,8 @@ class GridSequence:
         return self._array.dtype.newbyteorder("=")
 
     def cells(self, index: int, *box: slice) -> np.ndarray:
-        """The cells of stored frame `index`, (X, Y, Z) or (X, Y, Z, 3) of `dtype`; of a box only, a slice per axis.
+        """Return the cells of stored frame `index`, (X, Y, Z) or (X, Y, Z, 3) of `dtype`; of a box only, a slice per
+        axis.
 
         Raises:
             DataFormatError: a chunk is damaged, or holds NaN or Inf.
@@ -223,7 +228,7 @@ class GridSequence:
         return sum(np.float32(weight) * self.cells(index).astype(np.float32) for index, weight in parts)
 
     def bracket(self, time_s: float) -> list[tuple[int, float]]:
-        """(stored frame, weight) pairs of a time: one frame within 1 us, otherwise the two around it, linearly.
+        """Return (stored frame, weight) pairs of a time: one frame within 1 us, otherwise the two around it, linearly.
 
         Raises:
             DataFormatError: the time lies outside the stored clock.
@@ -258,7 +263,7 @@ class VelocitySequence(GridSequence):
         return cls(open_array(path))
 
     def measured_from(self, datum: Datum) -> VelocitySequence:
-        """The same store in a world and on a clock whose zeros are the datum's."""
+        """Return the same store in a world and on a clock whose zeros are the datum's."""
         moved = super().measured_from(datum)
         moved._cached = None
         return moved
@@ -295,7 +300,8 @@ class VelocitySequence(GridSequence):
         return cls(array)
 
     def chunk(self, index: int, number: tuple[int, int, int]) -> np.ndarray | None:
-        """The part of stored field `index` that `VelocityField.chunk` names, reading nothing else; None if not stored.
+        """Return the part of stored field `index` that `VelocityField.chunk` names, reading nothing else; None if not
+        stored.
 
         Raises:
             DataFormatError: the chunk is truncated, or holds NaN or Inf.
@@ -311,13 +317,14 @@ class VelocitySequence(GridSequence):
         return cells
 
     def frame(self, index: int) -> VelocityField:
-        """The stored field number `index`."""
+        """Return the stored field number `index`."""
         if self._cached is None or self._cached[0] != index:
             self._cached = index, VelocityField(self.cells(index), self.index_to_world, float(self.times_s[index]))
         return self._cached[1]
 
     def at(self, time_s: float) -> VelocityField:
-        """The field at a time: a stored frame within 1 us, otherwise linear interpolation between the two around it.
+        """Return the field at a time: a stored frame within 1 us, otherwise linear interpolation between the two around
+        it.
 
         Raises:
             DataFormatError: the time lies outside the stored clock.
@@ -329,7 +336,8 @@ class VelocitySequence(GridSequence):
         return VelocityField(velocity, self.index_to_world, float(time_s))
 
     def sample(self, points: np.ndarray, time_s: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Velocity (N, 3) float32 m/s at world points (N, 3) and times (N,), and which points lie in the domain (N,).
+        """Return velocity (N, 3) float32 m/s at world points (N, 3) and times (N,), and which points lie in the domain
+        (N,).
 
         Linear in time between stored frames (the first or last one's outside of them), tri-linear between cell
         centres; in the outer half cell the nearest centre's; 0 outside the domain. Reads only the cells around.
@@ -353,7 +361,8 @@ class VelocitySequence(GridSequence):
 
 
 def is_affine(matrix: np.ndarray) -> bool:
-    """Whether a matrix (4, 4) maps indices of a grid to places: below 1e30 m, with a last row 0 0 0 1, invertible."""
+    """Return whether a matrix (4, 4) maps indices of a grid to places: below 1e30 m, with a last row 0 0 0 1,
+    invertible."""
     if matrix.shape != (4, 4) or not (np.abs(matrix) < LARGEST_M).all() or (matrix[3] != [0, 0, 0, 1]).any():
         return False
     with np.errstate(under="ignore"):
@@ -361,7 +370,7 @@ def is_affine(matrix: np.ndarray) -> bool:
 
 
 def open_array(path: str | Path) -> ZarrArray:
-    """A zarr array of cells over time for reading.
+    """Return a zarr array of cells over time for reading.
 
     Raises:
         DataFormatError: not a zarr array, of other things than floats, too large for any simulation, or with other axes
@@ -387,7 +396,8 @@ def open_array(path: str | Path) -> ZarrArray:
 
 
 def _all_finite(values: np.ndarray) -> bool:
-    """No NaN or Inf. Of float16, which numpy would convert one by one, the exponent bits say so (8 times faster)."""
+    """Return no NaN or Inf. Of float16, which numpy would convert one by one, the exponent bits say so (8 times
+    faster)."""
     if values.dtype == np.float16:
         return bool(((values.view(np.uint16) & 0x7C00) != 0x7C00).all())
     return bool(np.isfinite(values).all())

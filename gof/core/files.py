@@ -1,4 +1,4 @@
-"""Files that a crash never leaves half of, and names from files that nobody vouches for."""
+"""Files that a crash never leaves half of, and names from files that are not trusted."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ NO_SYNC = (errno.EINVAL, errno.ENOSYS, errno.EOPNOTSUPP, errno.EROFS, errno.EACC
 
 
 def is_name(name: str) -> bool:
-    """Whether a text may be one part of a path, on every system: a plain, printable name and nothing that acts.
+    """Return whether a text may be one part of a path, on every system: a plain, printable name and nothing that acts.
 
     Refused are separators, "." and "..", drives and streams, wildcards, devices, what shells and options begin with,
     braces (Python's formats), control characters, line ends, text that is not UTF-8, and names of more than 200 bytes.
@@ -55,12 +55,12 @@ def is_name(name: str) -> bool:
 
 
 def is_relative_path(path: str) -> bool:
-    """Whether a text is names joined by "/", of at most 1000 bytes."""
+    """Return whether a text is names joined by "/", of at most 1000 bytes."""
     return all(map(is_name, path.split("/"))) and len(path.encode("utf-8")) <= LONGEST_PATH
 
 
 def path_in(folder: Path, path: str) -> Path:
-    """The file that a name out of a file means: in `folder`, also after links are followed. It need not exist.
+    """Return the file that a name out of a file means: in `folder`, also after links are followed. It need not exist.
 
     Raises:
         DataFormatError: not names joined by "/", it leads out of the folder, or to a pipe or a device, which never end.
@@ -83,7 +83,7 @@ def path_in(folder: Path, path: str) -> Path:
 
 
 def without_place(path: Path, folder: Path) -> str:
-    """The path relative to a folder, if they have more than the root of the disk in common; else its name alone.
+    """Return the path relative to a folder, if they have more than the root of the disk in common; else its name alone.
 
     What is published says nothing of where its author keeps files.
     """
@@ -165,7 +165,7 @@ def atomic_path(path: Path) -> Iterator[Path]:
         os.replace(temporary, path)
         _sync(path.parent)
     except OSError as e:
-        if e.filename in (None, str(temporary)):  # a full disk does not say whose, and drafts are nobody's business
+        if e.filename in (None, str(temporary)):  # a full disk does not say whose, and drafts are our own business
             e.filename, e.filename2 = str(path), None
         raise
     finally:
@@ -173,7 +173,7 @@ def atomic_path(path: Path) -> Iterator[Path]:
 
 
 def _descriptor(path: Path) -> int | None:
-    """The number of an open file of this process that a path means, also by links: /dev/stdout is 1."""
+    """Return the number of an open file of this process that a path means, also by links: /dev/stdout is 1."""
     known = {"/dev/stdout": 1, "/dev/stderr": 2}
     place = os.path.abspath(path)
     for _ in range(40):  # as many as Linux follows
@@ -188,7 +188,7 @@ def _descriptor(path: Path) -> int | None:
 
 
 def _end_of(path: Path) -> Path:
-    """Where a link leads; nothing need be there yet."""
+    """Return where a link leads; nothing need be there yet."""
     try:
         return path.resolve(strict=False)
     except (OSError, RuntimeError) as e:  # Python before 3.13 raises the second
@@ -197,7 +197,7 @@ def _end_of(path: Path) -> Path:
 
 @contextmanager
 def _draft_elsewhere(path: Path) -> Iterator[Path]:
-    """A name of the same suffix in a folder of its own, which goes at the end."""
+    """Provide a name of the same suffix in a folder of its own, which goes at the end."""
     with tempfile.TemporaryDirectory(prefix="gof-") as folder:
         yield Path(folder) / f"draft{path.suffix}"
 
@@ -258,7 +258,7 @@ def only_run_in(folder: Path) -> Iterator[None]:
 
 
 def _opened_lock(path: Path) -> IO[str]:
-    """The lock's file, made if absent; never what a link of its name leads to, as it is written."""
+    """Return the lock's file, made if absent; never what a link of its name leads to, as it is written."""
     try:
         number = os.open(path, os.O_RDWR | os.O_CREAT | os.O_APPEND | getattr(os, "O_NOFOLLOW", 0), 0o666)
     except OSError as e:
@@ -272,7 +272,7 @@ def _lock(lock: IO[str], folder: Path) -> None:
     try:
         if fcntl:
             fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        else:  # a byte behind the end, as nobody else can read what is locked
+        else:  # a byte behind the end, as no other process can read what is locked
             lock.seek(LOCKED_BYTE)
             msvcrt.locking(lock.fileno(), msvcrt.LK_NBLCK, 1)
     except (BlockingIOError, PermissionError) as e:
@@ -354,7 +354,7 @@ def read_json(path: Path) -> Any:
 
 
 def _object(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
-    """An object of JSON. Raises ValueError: a name stands in it twice, of which one value would be lost."""
+    """Return an object of JSON. Raises ValueError: a name stands in it twice, of which one value would be lost."""
     value = dict(pairs)
     if len(value) < len(pairs):
         names = [name for name, _ in pairs]
@@ -364,12 +364,12 @@ def _object(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
 
 
 def _whole(digits: str) -> int | float:
-    """A whole number of JSON; Inf where no float can hold it, as of other numbers."""
+    """Return a whole number of JSON; Inf where no float can hold it, as of other numbers."""
     return int(digits) if math.isfinite(float(digits)) else math.copysign(math.inf, float(digits))
 
 
 def _not_finite(value: Any) -> str | None:
-    """Where the first number that is not finite stands, as "cameras[0].K[1][2]"; None where all are."""
+    """Return where the first number that is not finite stands, as "cameras[0].K[1][2]"; None where all are."""
     if isinstance(value, float):
         return None if math.isfinite(value) else ""
     parts = value.items() if isinstance(value, dict) else enumerate(value) if isinstance(value, list) else ()

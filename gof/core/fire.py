@@ -32,7 +32,7 @@ class Hearth:
 
 @dataclass(frozen=True)
 class FireDescription:
-    """What a fire is and where it comes from: the record `fire.json`.
+    """A fire and its origin: the record `fire.json`.
 
     Args:
         solver: name and version of what solved it.

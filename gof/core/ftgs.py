@@ -31,12 +31,13 @@ CLIP = "gof_clip_s"  # our own comment in an .ftgs.ply: seconds of its times 0 a
 
 
 def matches(ply: Ply) -> bool:
-    """Whether a PLY says that it is one, or has its properties."""
+    """Return whether a PLY says that it is one, or has its properties."""
     return any(comment.startswith("ftgs_version") for comment in ply.comments) or ply.has(*PROPERTIES)
 
 
 def read(ply: Ply) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
-    """The fields as they are stored, those of 3DGS activated, and the facts that `place_in_time` and `moving` ask for.
+    """Return the fields as they are stored, those of 3DGS activated, and the facts that `place_in_time` and `moving`
+    ask for.
 
     Raises:
         DataFormatError: another version or time unit, a variant, or missing comments or properties.
@@ -72,8 +73,8 @@ def place_in_time(
 
     Args:
         start_s, unit_s: as the user says; 0 and None: as the file says, or by its number of frames.
-        frame_time_s: of the dataset, or as the user says; None where nobody does.
-        remedy: what to give where nobody says.
+        frame_time_s: of the dataset, or as the user says; None where unknown.
+        remedy: what to give where it is unknown.
     """
     frames = facts.get("n_frames")
     if unit_s is not None:
@@ -88,7 +89,8 @@ def place_in_time(
 
 
 def moving(values: dict[str, np.ndarray], facts: dict[str, Any], start_s: float, unit_s: float) -> TransientGaussians:
-    """Gaussians of fields as `read` gives them, in seconds and metres per second; their world is taken as it is."""
+    """Return Gaussians of fields as `read` gives them, in seconds and metres per second; their world is taken as it
+    is."""
     velocity = values["velocity"] if facts.get("use_velocity", True) else np.zeros_like(values["velocity"])
     return TransientGaussians(
         position=values["position"],
@@ -104,7 +106,7 @@ def moving(values: dict[str, np.ndarray], facts: dict[str, Any], start_s: float,
 
 
 def refuse_variants(said: dict, path: Path) -> None:
-    """Raises DataFormatError: one of the settings that VANILLA lists is another one, so fields mean other things."""
+    """Raise DataFormatError: one of the settings that VANILLA lists is another one, so fields mean other things."""
     for name, value in said.items():
         if value != VANILLA[name] and (value or VANILLA[name]):
             raise DataFormatError(
@@ -148,7 +150,7 @@ def save(gaussians: TransientGaussians, path: Path, start_s: float, end_s: float
 
 
 def losses(gaussians: TransientGaussians, start_s: float, end_s: float) -> list[str]:
-    """What the format cannot hold, in words; args as `save`."""
+    """Return what the format cannot hold, in words; args as `save`."""
     short = gaussians.dynamic & (gaussians.t_sigma < MIN_DURATION * (end_s - start_s))
     notes = [f"its times 0..1 are {start_s:g}..{end_s:g} s of the dataset clock (comment {CLIP})"]
     if gaussians.gas_velocity is not None:

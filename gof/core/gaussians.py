@@ -25,7 +25,7 @@ LIFE_SIGMAS = 3.0  # a Gaussian lives for this many t_sigma before and after t_m
 
 
 class MovingGaussians(Protocol):
-    """What can be scored, drawn and saved: `TransientGaussians`; without a closed form `Trajectory`."""
+    """Gaussians that can be scored, drawn and saved: `TransientGaussians`; without a closed form `Trajectory`."""
 
     dynamic: np.ndarray  # (N,) bool; False = static background
 
@@ -36,16 +36,17 @@ class MovingGaussians(Protocol):
         """First and last second for which there is a state; infinite for a closed form."""
 
     def life(self) -> tuple[float, float]:
-        """First and last second in which anything dynamic lives; infinite when something is always on."""
+        """Return first and last second in which anything dynamic lives; infinite when something is always on."""
 
     def state_at(self, time_s: float) -> TransientGaussians:
-        """Gaussians whose `at(time_s)` and velocities are those of that time, row by row the same ones at all times."""
+        """Return Gaussians whose `at(time_s)` and velocities are those of that time, row by row the same ones at all
+        times."""
 
     def transformed(self, matrix: np.ndarray) -> MovingGaussians:
         """In another world, by a similarity (4, 4); velocities turn and stretch with it, times stay."""
 
     def measured_from(self, datum: Datum) -> MovingGaussians:
-        """The same ones with places and times from another datum; where nobody says from which, as they are."""
+        """Return the same ones with places and times from another datum; unchanged where theirs is unknown."""
 
     def save(self, path: str | Path, source: str = "") -> Path:
         """Write a file that `gof.io.importers.read_result` reads."""
@@ -67,10 +68,10 @@ class TransientGaussians:
         dynamic: (N,) bool; False = static background: ignores velocity, t_mu and t_sigma.
         gas_velocity: (N, 3) m/s, of the gas that shines there; what DVE scores and velocity pictures show. None: gas
             and light move as one, at `velocity`.
-        velocity_sd: (N,) m/s, >= 0, standard deviation of each component of the gas' velocity; inf = nobody says.
+        velocity_sd: (N,) m/s, >= 0, standard deviation of each component of the gas' velocity; inf = unknown.
             None is inf for all.
         datum: the place in the world and the time on the clock, both float64, that positions and t_mu count from. None:
-            nobody says; they are taken to be measured as those are that they are used with.
+            unknown; they are taken to be measured as those are that they are used with.
 
     Raises:
         DataFormatError: shapes disagree, or a value is outside its range (names the parameter and rows).
@@ -132,7 +133,7 @@ class TransientGaussians:
             )
         self._require("t_sigma", self.t_sigma > 0, "> 0 (inf = always on)")
         self._require("scale", (self.scale > 0).all(-1), "> 0 (linear standard deviation in metres, not its log)")
-        self._require("velocity_sd", self.velocity_sd >= 0, ">= 0 (inf = nobody says how sure the velocity is)")
+        self._require("velocity_sd", self.velocity_sd >= 0, ">= 0 (inf = unknown)")
         self._require("opacity", (self.opacity >= 0) & (self.opacity <= 1), "in [0, 1] (activated, not a logit)")
         norm = np.linalg.norm(self.rotation.astype(np.float64), axis=-1, keepdims=True)
         self._require("rotation", norm[:, 0] > 1e-12, "a non-zero quaternion")
@@ -146,7 +147,7 @@ class TransientGaussians:
         return len(self.position)
 
     def __getitem__(self, index) -> TransientGaussians:
-        """A subset by boolean mask, slice or index array (N',)."""
+        """Return a subset by boolean mask, slice or index array (N',)."""
         return type(self)(**{name: values[index] for name, values in self.arrays().items()}, datum=self.datum)
 
     def at(self, time_s: float) -> tuple[np.ndarray, np.ndarray]:
@@ -158,7 +159,7 @@ class TransientGaussians:
         return position.astype(np.float32), (self.opacity * window).astype(np.float32)
 
     def arrays(self) -> dict[str, np.ndarray]:
-        """The arrays by name; without `gas_velocity` where there is none."""
+        """Return the arrays by name; without `gas_velocity` where there is none."""
         values = {f.name: getattr(self, f.name) for f in fields(self) if f.name != "datum"}
         return {name: value for name, value in values.items() if value is not None}
 
@@ -174,7 +175,8 @@ class TransientGaussians:
         return -np.inf, np.inf
 
     def life(self) -> tuple[float, float]:
-        """First and last second in which anything dynamic lives, LIFE_SIGMAS around t_mu; something must be dynamic."""
+        """Return first and last second in which anything dynamic lives, LIFE_SIGMAS around t_mu; something must be
+        dynamic."""
         g = self[self.dynamic]
         reach = LIFE_SIGMAS * g.t_sigma.astype(np.float64)
         return float((g.t_mu - reach).min()), float((g.t_mu + reach).max())
@@ -186,7 +188,7 @@ class TransientGaussians:
     def transformed(self, matrix: np.ndarray) -> TransientGaussians:
         """In another world, by a similarity (4, 4); velocities turn and stretch with it, times stay.
 
-        It maps places as they are measured here; of the other world nobody says a datum.
+        It maps places as they are measured here; the other world has no known datum.
 
         Raises:
             GofError: not a similarity (sheared, mirrored or singular).
@@ -208,7 +210,7 @@ class TransientGaussians:
         )
 
     def measured_from(self, datum: Datum) -> TransientGaussians:
-        """The same ones with places and times from another datum; where nobody says from which, as they are."""
+        """Return the same ones with places and times from another datum; unchanged where theirs is unknown."""
         if self.datum is None or self.datum == datum:
             return replace(self, datum=datum)
         x, y, z, t = self.datum.numbers() - datum.numbers()
@@ -216,7 +218,7 @@ class TransientGaussians:
 
     @classmethod
     def concatenate(cls, parts: list[TransientGaussians]) -> TransientGaussians:
-        """All Gaussians of several sets, measured from the first datum there is; colour layouts must agree."""
+        """Return all Gaussians of several sets, measured from the first datum there is; colour layouts must agree."""
         datum = next((part.datum for part in parts if part.datum is not None), None)
         if datum is not None:
             parts = [part.measured_from(datum) for part in parts]

@@ -78,7 +78,7 @@ class GridWriter:
             write_json(self._partial / "zarr.json", self._description)
 
     def has_frame(self, frame: int) -> bool:
-        """Whether frame index `frame` of the T is already on disk."""
+        """Return whether frame index `frame` of the T is already on disk."""
         return self.finished or self._marker(frame).exists()
 
     def write_frame(self, frame: int, block: Callable[[Block], np.ndarray]) -> None:
@@ -141,7 +141,7 @@ class GridWriter:
             raise ValueError(f"voxel_size {voxel_size}: must be > 0 m")
 
     def _same_array(self, folder: Path) -> bool:
-        """True if `folder` holds this array, False if there is nothing; anything else is an error."""
+        """Return True if `folder` holds this array, False if there is nothing; anything else is an error."""
         if not folder.exists():
             return False
         found = _read_description(folder)

@@ -14,7 +14,7 @@ C3 = (0.5900435899266435, 2.890611442640554, 0.4570457994644658, 0.3731763325901
 
 
 def basis(degree: int, d) -> list:
-    """The (degree + 1)^2 basis values in unit direction d = (x, y, z); works on Dr.Jit and numpy arrays."""
+    """Return the (degree + 1)^2 basis values in unit direction d = (x, y, z); works on Dr.Jit and numpy arrays."""
     x, y, z = d
     out = [C0 + 0 * x]
     if degree > 0:
@@ -36,12 +36,13 @@ def basis(degree: int, d) -> list:
 
 
 def plain_color(color: np.ndarray) -> np.ndarray:
-    """(N, 3) display colours without dependence on direction, of display colours (N, 3) or coefficients (N, K, 3)."""
+    """Return (N, 3) display colours without dependence on direction, of display colours (N, 3) or coefficients (N, K,
+    3)."""
     return color if color.ndim == 2 else 0.5 + C0 * color[:, 0]
 
 
 def turned(color: np.ndarray, R: np.ndarray) -> np.ndarray:
-    """Colours (N, K, 3) seen from a world turned by R (3, 3); display colours (N, 3) stay as they are.
+    """Return colours (N, K, 3) seen from a world turned by R (3, 3); display colours (N, 3) stay as they are.
 
     A function of degree <= 3 stays in its space under rotation, so a least-squares fit over directions is exact.
     """

@@ -21,7 +21,7 @@ T = TypeVar("T")
 
 
 def preset(name: str, known: Mapping[str, T], former: Mapping[str, T]) -> T:
-    """What a name of the ladder means; an old one too, which is said on the error stream.
+    """Return the meaning of a name of the ladder; an old name works too, with a note on the error stream.
 
     Args:
         known: by rung.   former: by a name that is no rung any more, for one version.

@@ -8,7 +8,7 @@ BITS = 10  # per axis
 
 
 def morton_order(points: np.ndarray) -> np.ndarray:
-    """(N,) indices that put (N, 3) finite points, in any unit, along a Morton curve of 1024 cells a side.
+    """Return (N,) indices that put (N, 3) finite points, in any unit, along a Morton curve of 1024 cells a side.
 
     What draws or gathers them then reads memory it has read a moment ago. Points of one cell keep their order.
     """

@@ -67,11 +67,11 @@ class Motion:
         return self.state_at(float(known[0]) if known else 0.0).dynamic
 
     def life(self) -> tuple[float, float]:
-        """First and last known second."""
+        """Return first and last known second."""
         return self.covered_s
 
     def state_at(self, time_s: float) -> TransientGaussians:
-        """The Gaussians at one time, always on, with their velocity there.
+        """Return the Gaussians at one time, always on, with their velocity there.
 
         Raises:
             DataFormatError, NonFiniteError: what the function gives is no such state (says when).
@@ -121,7 +121,7 @@ class Motion:
         return Trajectory(self.times_s, **stacked, color=middle.color, dynamic=middle.dynamic).save(path, source)
 
     def _difference(self, time_s: float) -> np.ndarray:
-        """(N, 3) m/s, central, one-sided at the ends of what the function knows."""
+        """Return (N, 3) m/s, central, one-sided at the ends of what the function knows."""
         before, after = np.clip([time_s - self.step_s / 2, time_s + self.step_s / 2], *self.covered_s)
         if not after > before:
             raise GofError(f"step_s {self.step_s:g} s is too short to tell two times apart at {time_s:g} s")

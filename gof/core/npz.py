@@ -1,4 +1,4 @@
-"""Reading npz files that nobody vouches for: no pickles, and no more memory than its length explains."""
+"""Reading of npz files that are not trusted: no pickles, and no more memory than its length explains."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ EXPANSION, ALWAYS = 100, 2**26  # an archive may unpack to this many times its s
 
 
 def read_npz(path: Path) -> dict[str, np.ndarray]:
-    """All arrays of an npz by name.
+    """Return all arrays of an npz by name.
 
     Raises:
         DataFormatError: not an npz, cut off, arrays of objects (they would run code), a header that announces more than
@@ -46,7 +46,7 @@ def read_npz(path: Path) -> dict[str, np.ndarray]:
 
 
 def read_npy(path: Path) -> np.ndarray:
-    """The array of an npy.
+    """Return the array of an npy.
 
     Raises:
         DataFormatError: absent, not an npy, cut off, of objects, or a header that announces more than the file holds.

@@ -60,12 +60,12 @@ def number_files(paths: Iterable[Path]) -> list[tuple[int, Path]]:
 
 
 def is_hidden(path: Path) -> bool:
-    """Whether a system wrote it for itself, as macOS does with `._0001.jpg` and `.DS_Store`."""
+    """Return whether a system wrote it for itself, as macOS does with `._0001.jpg` and `.DS_Store`."""
     return path.name.startswith(".")
 
 
 def frame_of(path: Path) -> tuple[str, int, str] | None:
-    """A name without its frame's number and ending, that number, and its digits; None where it has none."""
+    """Return a name without its frame's number and ending, that number, and its digits; None where it has none."""
     stem = path.stem
     sizes = SIZE.sub(lambda size: "*" * len(size[0]), stem)
     found = list(NUMBER.finditer(sizes))
@@ -76,7 +76,7 @@ def frame_of(path: Path) -> tuple[str, int, str] | None:
 
 
 def missing_numbers(numbers: list[int]) -> tuple[int, str]:
-    """How many numbers of an even step are missing between the first and the last, and which, in words.
+    """Return how many numbers of an even step are missing between the first and the last, and which, in words.
 
     Args:
         numbers: increasing. Their step is the largest that all of them fit.
@@ -89,12 +89,12 @@ def missing_numbers(numbers: list[int]) -> tuple[int, str]:
 
 
 def usual_step(numbers: list[int]) -> int:
-    """The largest step that all of the increasing numbers fit; 1 for a single one."""
+    """Return the largest step that all of the increasing numbers fit; 1 for a single one."""
     return math.gcd(*(b - a for a, b in itertools.pairwise(numbers))) or 1
 
 
 def _refuse_decimals(found: list[tuple[int, Path]]) -> None:
-    """Raises DataFormatError: digits behind a digit and a point that do not count up by one, as 0.25 and 0.5."""
+    """Raise DataFormatError: digits behind a digit and a point that do not count up by one, as 0.25 and 0.5."""
     path = found[0][1] if found else None
     if path is None or not re.search(r"[0-9]\.#", frame_of(path)[0]):
         return
@@ -107,5 +107,5 @@ def _refuse_decimals(found: list[tuple[int, Path]]) -> None:
 
 
 def _beside(path: Path, other: Path) -> str:
-    """A file's name, with its folder where that is another one than `other`'s."""
+    """Return a file's name, with its folder where that is another one than `other`'s."""
     return path.name if path.parent == other.parent else str(path)

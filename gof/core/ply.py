@@ -22,7 +22,7 @@ PLAIN = frozenset(
     "x y z nx ny nz f_dc_0 f_dc_1 f_dc_2 opacity scale_0 scale_1 scale_2 rot_0 rot_1 rot_2 rot_3 red green blue".split()
 )
 OURS = "units: metres"  # how a comment of the PLYs that gof writes begins
-UNBOUNDED = ("t_sigma", "v_sd")  # where inf says "always" and "nobody knows"
+UNBOUNDED = ("t_sigma", "v_sd")  # where inf says "always" and "unknown"
 LOGIT_EPS = 2.0**-24  # opacities 0 and 1 have no finite logit; this is half a float32 step below 1
 
 
@@ -36,14 +36,14 @@ class Ply:
 
     @classmethod
     def read(cls, path: Path, step: int = 1) -> Ply:
-        """Every step-th vertex. Raises DataFormatError: see `read_vertices`."""
+        """Return every step-th vertex. Raises DataFormatError: see `read_vertices`."""
         return cls(path, *read_vertices(path, step))
 
     def has(self, *names: str) -> bool:
         return all(name in self.vertex.dtype.names for name in names)
 
     def columns(self, *names: str) -> np.ndarray:
-        """(N, len(names)) float32."""
+        """Return (N, len(names)) float32."""
         missing = [name for name in names if not self.has(name)]
         if missing:
             kind = name_kind(self.vertex.dtype.names)
@@ -52,7 +52,7 @@ class Ply:
             return np.stack([self.vertex[name] for name in names], -1).astype(np.float32)
 
     def splats(self) -> dict[str, np.ndarray]:
-        """The 3DGS properties, activated: position, scale, rotation, opacity, and color as harmonics (N, K, 3).
+        """Return the 3DGS properties, activated: position, scale, rotation, opacity, and color as harmonics (N, K, 3).
 
         Raises:
             DataFormatError: properties are missing, not finite, of absurd size, or activated already (names the rows).
@@ -63,7 +63,7 @@ class Ply:
         return self.without_scale() | {"scale": activate_scale(sizes, self.path)}
 
     def refuse_unread(self, *known: str) -> None:
-        """Raises DataFormatError: there are properties beside those of 3DGS and `known` ones, which nobody reads.
+        """Raise DataFormatError: there are properties beside those of 3DGS and `known` ones, which no reader knows.
 
         Some change what the others mean; one may be a misspelt name.
         """
@@ -100,7 +100,8 @@ class Ply:
 
 
 def name_kind(names: Collection[str]) -> str | None:
-    """What a PLY with these properties is where it is none of 3D Gaussians in full, and the way out; else None."""
+    """Return what a PLY with these properties is where it is none of 3D Gaussians in full, and the way out; else
+    None."""
     has = set(names).issuperset
     if has(("packed_position", "packed_scale")):
         return "SuperSplat's compressed PLY, packed values of one instant: open it there and export PLY uncompressed"
@@ -115,14 +116,14 @@ def name_kind(names: Collection[str]) -> str | None:
 
 
 def require_rows(good: np.ndarray, name: str, rule: str, path: Path) -> None:
-    """Raises DataFormatError: `good` (N, ...) is not true everywhere; names the Gaussians' rows, from 0."""
+    """Raise DataFormatError: `good` (N, ...) is not true everywhere; names the Gaussians' rows, from 0."""
     if not good.all():
         rows = np.unique(np.argwhere(~good)[:, 0])
         raise DataFormatError(f"{path}: '{name}' must be {rule}; rows {rows[:5].tolist()} (from 0) are not")
 
 
 def activate_scale(raw: np.ndarray, path: Path) -> np.ndarray:
-    """Standard deviations of logarithms (N, 3), those of flat Gaussians (-inf) above 0.
+    """Return standard deviations of logarithms (N, 3), those of flat Gaussians (-inf) above 0.
 
     Raises:
         DataFormatError: NaN, or a logarithm above LARGEST_LN, which no scene holds.
@@ -132,7 +133,7 @@ def activate_scale(raw: np.ndarray, path: Path) -> np.ndarray:
 
 
 def refuse_activated(scale: np.ndarray, opacity: np.ndarray, path: Path) -> None:
-    """Raises DataFormatError: raw sizes and opacities look like values, where PLYs hold logarithms and logits.
+    """Raise DataFormatError: raw sizes and opacities look like values, where PLYs hold logarithms and logits.
 
     All opacities in 0..1 and all sizes above 0 would be Gaussians of more than a metre, all half transparent; so many
     opacities that fill 0..1 and never leave it are no logits.
@@ -166,7 +167,7 @@ def quaternions(q: np.ndarray, path: Path) -> np.ndarray:
 
 
 def splat_columns(arrays: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
-    """The shared properties of a splat PLY, raw; display colours become their constant harmonic.
+    """Return the shared properties of a splat PLY, raw; display colours become their constant harmonic.
 
     Args:
         arrays: position (N, 3), scale (N, 3), rotation (N, 4), opacity (N,), color (N, 3) or (N, K, 3), as of

@@ -49,17 +49,17 @@ class Element:
         return any(p.count for p in self.properties)
 
     def row(self, order: str) -> np.dtype:
-        """A row in a byte order; of a list its first number, which says how many follow."""
+        """Return a row in a byte order; of a list its first number, which says how many follow."""
         return np.dtype([(p.name, order + (p.count or p.type)) for p in self.properties])
 
     def numbers(self) -> np.dtype:
-        """What of a row is kept."""
+        """Return what of a row is kept."""
         return np.dtype([(p.name, p.type) for p in self.properties if not p.count])
 
 
 @dataclass
 class Header:
-    """What a PLY says of itself, in `lines` lines and `size` bytes, ended by `end`."""
+    """The header of a PLY, in `lines` lines and `size` bytes, ended by `end`."""
 
     format: str = ""
     elements: list[Element] = field(default_factory=list)
@@ -73,7 +73,7 @@ class Header:
 
 
 def read_vertices(path: Path, step: int = 1) -> tuple[np.ndarray, list[str]]:
-    """The scalar properties of element "vertex", (N,) structured, and the header's comments.
+    """Return the scalar properties of element "vertex", (N,) structured, and the header's comments.
 
     Args:
         step: read every step-th vertex only; of a binary file without lists the others take no memory.
@@ -105,7 +105,7 @@ def read_vertices(path: Path, step: int = 1) -> tuple[np.ndarray, list[str]]:
 
 
 def count_vertices(path: Path) -> int:
-    """Number of vertices that a PLY announces, and has room for. Raises DataFormatError as `read_vertices`."""
+    """Return number of vertices that a PLY announces, and has room for. Raises DataFormatError as `read_vertices`."""
     with open(path, "rb") as file:
         return _vertex_header(file, path)[1].rows
 
@@ -120,7 +120,7 @@ def _vertex_header(file: IO[bytes], path: Path) -> tuple[Header, Element]:
 
 
 def read_header(file: IO[bytes], path: Path) -> Header:
-    """Raises DataFormatError: not the header of a PLY; names the line."""
+    """Read the header of a PLY. Raises DataFormatError: it is none; names the line."""
     start = file.read(LONGEST_HEADER)
     if start[:3] != b"ply" or start[3:4] not in (b"\r", b"\n"):
         raise DataFormatError(f"{path}: not a PLY file with a 'vertex' element (it does not begin with the line 'ply')")
@@ -145,7 +145,7 @@ def read_header(file: IO[bytes], path: Path) -> Header:
 
 
 def _header_line(header: Header, words: list[str], line: str) -> None:
-    """Raises ValueError: says what is wrong with the line."""
+    """Raise ValueError: says what is wrong with the line."""
     match words:
         case ["comment" | "obj_info", *_]:
             if words[0] == "comment":
@@ -196,7 +196,7 @@ def _check_size(header: Header, size: int, path: Path) -> None:
 
 
 def _walk(file: IO[bytes], element: Element, order: str, path: Path) -> np.ndarray:
-    """Row after row of a binary element with lists: they lie between its numbers, so rows differ in length."""
+    """Return row after row of a binary element with lists: they lie between its numbers, so rows differ in length."""
     data, place, numbers = file.read(), 0, bytearray()
     kinds = [(p, np.dtype(p.count or p.type).itemsize, np.dtype(p.type).itemsize) for p in element.properties]
     for row in range(element.rows):
@@ -219,7 +219,7 @@ def _walk(file: IO[bytes], element: Element, order: str, path: Path) -> np.ndarr
 
 
 def _read_text(file: IO[bytes], vertex: Element, header: Header, skipped: int, path: Path) -> np.ndarray:
-    """The vertices of an ascii file; `skipped` rows of other elements come before them."""
+    """Return the vertices of an ascii file; `skipped` rows of other elements come before them."""
     kind = vertex.numbers()
     out, row, number = np.empty(vertex.rows, kind), -skipped, header.lines
     text = io.TextIOWrapper(file, "ascii", "replace")  # it knows every kind of line end
@@ -242,7 +242,7 @@ def _read_text(file: IO[bytes], vertex: Element, header: Header, skipped: int, p
 
 
 def _numbers(words: list[str], element: Element) -> tuple:
-    """The numbers of a row of text. Raises ValueError: says what is wrong with it."""
+    """Return the numbers of a row of text. Raises ValueError: says what is wrong with it."""
     found, place = [], 0
     for p in element.properties:
         if place >= len(words):

@@ -27,13 +27,13 @@ T = TypeVar("T")
 
 
 def to_json(record: Record) -> dict[str, Any]:
-    """The JSON form of a record: its fields under its schema and version; tuples become lists."""
+    """Return the JSON form of a record: its fields under its schema and version; tuples become lists."""
     content = {name.removesuffix("_"): _plain(value) for name, value in asdict(record).items()}
     return {"schema": record.SCHEMA, "version": record.VERSION} | content
 
 
 def _plain(value: Any) -> Any:
-    """A value as JSON gives it back."""
+    """Return a value as JSON gives it back."""
     if isinstance(value, dict):
         return {key: _plain(item) for key, item in value.items()}
     return [_plain(item) for item in value] if isinstance(value, (list, tuple)) else value

@@ -41,7 +41,7 @@ def save(arrays: Arrays, path: Path, source: str = "", datum: Datum | None = Non
     """Write by suffix, atomically. `source` (how it was made) goes into the file. Returns `path`.
 
     Args:
-        datum: what places and times are measured from; None: nobody says.
+        datum: what places and times are measured from; None: unknown.
 
     Raises:
         DataFormatError: unknown suffix.
@@ -120,7 +120,7 @@ def _load_npz(path: Path, step: int) -> tuple[Arrays, Datum | None]:
 
 
 def _velocity_sd(arrays: Arrays) -> Arrays:
-    """What both files say of it: nothing where nothing is known."""
+    """Return what both files say of it: nothing where nothing is known."""
     return {"v_sd": arrays["velocity_sd"]} if np.isfinite(arrays["velocity_sd"]).any() else {}
 
 

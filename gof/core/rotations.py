@@ -26,7 +26,8 @@ def rotation_matrices(quaternion: np.ndarray) -> np.ndarray:
 
 
 def quaternions_wxyz(matrix: np.ndarray) -> np.ndarray:
-    """Rotation matrices (..., 3, 3) to unit quaternions (..., 4), of the two the one whose first number but 0 is > 0.
+    """Return rotation matrices (..., 3, 3) to unit quaternions (..., 4), of the two the one whose first number but 0 is
+    > 0.
 
     Row i of 4 q q^T is 4 q_i q: of the four rows the one of the largest q_i loses no digits (Markley, 2008).
     """

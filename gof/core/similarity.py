@@ -26,7 +26,7 @@ def decompose(matrix: np.ndarray) -> tuple[float, np.ndarray, np.ndarray]:
 def transformed_splats(
     matrix: np.ndarray, position: np.ndarray, scale: np.ndarray, rotation: np.ndarray, color: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """(position, scale, rotation, color) of Gaussians in another world.
+    """Return (position, scale, rotation, color) of Gaussians in another world.
 
     Args:
         matrix: similarity (4, 4).   position, scale: (N, 3).   rotation: (N, 4) wxyz.   color: (M, 3) or (M, K, 3).

@@ -97,11 +97,11 @@ class Trajectory:
         return float(self.time_s[0]), float(self.time_s[-1])
 
     def life(self) -> tuple[float, float]:
-        """First and last sampled second; when in between a Gaussian lives, its opacities say."""
+        """Return first and last sampled second; when in between a Gaussian lives, its opacities say."""
         return self.covered_s
 
     def state_at(self, time_s: float) -> TransientGaussians:
-        """The Gaussians at one time, always on, with their velocity there.
+        """Return the Gaussians at one time, always on, with their velocity there.
 
         At a sampled time the velocity is the three-point difference over its neighbours (one-sided at the two ends),
         which is exact for motion quadratic in time; between two samples, the difference of the two, and everything
@@ -149,7 +149,7 @@ class Trajectory:
         )
 
     def difference_change(self) -> float:
-        """How much velocities change (relative L2) when differences span twice the step.
+        """Return how much velocities change (relative L2) when differences span twice the step.
 
         That is three times their own error where motion is smooth. Where it has kinks, as that of networks with ReLU or
         of planes interpolated in time, the error falls with the root of the step only, and is as large as the change.
@@ -216,7 +216,8 @@ class Trajectory:
 
 
 def _derivative_weights(t: np.ndarray, at: float) -> np.ndarray:
-    """Weights whose sum with values at times t is the derivative at `at` of the polynomial through 2 or 3 points."""
+    """Return weights whose sum with values at times t is the derivative at `at` of the polynomial through 2 or 3
+    points."""
     if len(t) == 2:
         return np.array([-1.0, 1.0]) / (t[1] - t[0])
     a, b, c = t

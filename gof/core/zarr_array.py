@@ -55,7 +55,7 @@ class ZarrArray:
 
     @classmethod
     def open(cls, path: str | Path) -> ZarrArray:
-        """Raises:
+        """Open the folder of an array.
         DataFormatError: no array of format 3, or one of another kind than is read here.
         MissingDependencyError: it is packed with zstd, and this Python has no zstandard (Blender's has not).
         """
@@ -78,7 +78,7 @@ class ZarrArray:
         attributes: dict,
         level: int = GZIP_LEVEL,
     ) -> ZarrArray:
-        """A new array of zeros, packed with gzip. Raises DataFormatError: there is something at `path`."""
+        """Return a new array of zeros, packed with gzip. Raises DataFormatError: there is something at `path`."""
         path = Path(path)
         if path.exists():
             raise DataFormatError(f"{path}: exists already; remove it first or choose another name")
@@ -90,11 +90,11 @@ class ZarrArray:
         return len(self.shape)
 
     def is_stored(self, number: tuple[int, ...]) -> bool:
-        """Whether there is a file of a chunk."""
+        """Return whether there is a file of a chunk."""
         return self.file_of(number).exists()
 
     def __getitem__(self, where: tuple[int | slice, ...]) -> np.ndarray:
-        """A box: an index or a slice per axis; axes that are not named are taken whole.
+        """Return a box: an index or a slice per axis; axes that are not named are taken whole.
 
         Raises:
             DataFormatError: a chunk is damaged.   IndexError: an index is outside.
@@ -140,7 +140,7 @@ class ZarrArray:
                 self.file_of(number).write_bytes(self.packed(here, part))
 
     def packed(self, here: tuple[slice, ...], part: np.ndarray) -> bytes:
-        """What the file of a chunk holds that is zero but for the part `here`."""
+        """Return what the file of a chunk holds that is zero but for the part `here`."""
         whole = np.zeros(self.chunks, self.dtype)  # those at the upper border are of full size too
         whole[here] = part
         return gzip.compress(whole.tobytes(), self.level, mtime=0)
@@ -148,7 +148,7 @@ class ZarrArray:
     # ---------------------------------------------------------------- chunks
 
     def _box(self, where: tuple[int | slice, ...]) -> tuple[list[int], list[int]]:
-        """First and last + 1 of the indices per axis."""
+        """Return first and last + 1 of the indices per axis."""
         low, high = [0] * self.ndim, list(self.shape)
         for axis, (part, size) in enumerate(zip(where, self.shape, strict=False)):
             if isinstance(part, slice):
@@ -161,11 +161,11 @@ class ZarrArray:
         return low, high
 
     def _numbers(self, low: list[int], high: list[int]) -> Iterator[tuple[int, ...]]:
-        """The chunks that a box touches."""
+        """Return the chunks that a box touches."""
         return product(*(range(l // c, -(-h // c)) for l, h, c in zip(low, high, self.chunks, strict=True)))
 
     def _overlap(self, number: tuple[int, ...], low: list[int], high: list[int]) -> tuple[tuple, tuple]:
-        """What of a chunk lies in a box: slices of the chunk, and of the box."""
+        """Return what of a chunk lies in a box: slices of the chunk, and of the box."""
         here, there = [], []
         for n, c, l, h in zip(number, self.chunks, low, high, strict=True):
             first, last = max(n * c, l), min((n + 1) * c, h)
@@ -174,7 +174,7 @@ class ZarrArray:
         return tuple(here), tuple(there)
 
     def file_of(self, number: tuple[int, ...]) -> Path:
-        """Where a chunk is stored, if it is."""
+        """Return where a chunk is stored, if it is."""
         return self.path / self.separator.join(["c", *map(str, number)])
 
     def _chunk(self, number: tuple[int, ...]) -> np.ndarray:
@@ -197,7 +197,7 @@ def describe(
     level: int = GZIP_LEVEL,
     axes: tuple[str, ...] = (),
 ) -> dict:
-    """The zarr.json of an array packed with gzip, whose chunks that are not stored are zero."""
+    """Return the zarr.json of an array packed with gzip, whose chunks that are not stored are zero."""
     return {
         "zarr_format": 3,
         "node_type": "array",
@@ -216,7 +216,7 @@ def describe(
 
 
 def _described(description: dict) -> tuple:
-    """The fields of a `ZarrArray` as a zarr.json says them. Raises ValueError and its like: not read here."""
+    """Return the fields of a `ZarrArray` as a zarr.json says them. Raises ValueError and its like: not read here."""
     if (description["zarr_format"], description["node_type"]) != (3, "array"):
         raise ValueError(f"format {description['zarr_format']}, {description['node_type']}; expected an array of 3")
     names = {"grid": description["chunk_grid"]["name"], "key": description["chunk_key_encoding"]["name"]}
@@ -262,7 +262,7 @@ def _require_zstandard(path: Path) -> None:
 
 
 def _unpacked(data: bytes, packing: str, size: int) -> bytes:
-    """The bytes of a chunk. Raises ValueError, zlib.error: it is damaged, or unpacks to another size."""
+    """Return the bytes of a chunk. Raises ValueError, zlib.error: it is damaged, or unpacks to another size."""
     if packing == "gzip":
         stream = zlib.decompressobj(wbits=31)
         data = stream.decompress(data, size + 1)

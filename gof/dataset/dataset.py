@@ -55,11 +55,12 @@ class Dataset:
         return cls(folder, description, description.cameras_from(datum, "train"), times_s)
 
     def evaluation_view(self) -> Dataset | None:
-        """The same dataset seen by its cameras of role "eval", for novel views; None when it has none."""
+        """Return the same dataset seen by its cameras of role "eval", for novel views; None when it has none."""
         return self._seen_by("eval")
 
     def around_view(self) -> Dataset | None:
-        """The same dataset seen by its cameras of role "around", which have `frames` of it; None when it has none."""
+        """Return the same dataset seen by its cameras of role "around", which have `frames` of it; None when it has
+        none."""
         return self._seen_by("around")
 
     def _seen_by(self, role: str) -> Dataset | None:
@@ -67,13 +68,13 @@ class Dataset:
         return replace(self, cameras=cameras) if cameras else None
 
     def frames(self, camera: int) -> list[int]:
-        """Numbers of the frames that a camera has pictures of."""
+        """Return numbers of the frames that a camera has pictures of."""
         known = self._entry(camera).frames
         return list(range(len(self.times_s)) if known is None else known)
 
     @cached_property
     def datum(self) -> Datum:
-        """What places and times are measured from; zeros unless float32 would round them as they are."""
+        """Return what places and times are measured from; zeros unless float32 would round them as they are."""
         return self.description.datum
 
     @property
@@ -91,7 +92,7 @@ class Dataset:
         return float(np.median(np.diff(self.times_s))) if len(self.times_s) > 1 else 0.0
 
     def camera_times_s(self, camera: int) -> np.ndarray:
-        """(T,) float64 s: when this camera's frames start (its first line is read), on the dataset clock.
+        """Return (T,) float64 s: when this camera's frames start (its first line is read), on the dataset clock.
 
         Cameras that are not triggered together have a `time_s` of their own in dataset.json; the others keep the common
         clock.
@@ -114,11 +115,13 @@ class Dataset:
         return name
 
     def file(self, camera: int, kind: str, frame: int = 0) -> Path:
-        """Path of a file; see `name`. Raises DataFormatError: no such kind, or a path that leaves the dataset."""
+        """Return path of a file; see `name`. Raises DataFormatError: no such kind, or a path that leaves the
+        dataset."""
         return path_in(self.path, self.name(camera, kind, frame))
 
     def identity(self, *others: str) -> str:
-        """The dataset's name, and digits that change with its description and its pictures' sizes and times of change.
+        """Return the dataset's name, and digits that change with its description and its pictures' sizes and times of
+        change.
 
         What is made from a dataset is kept with this: two datasets in folders of one name are two, and one that was
         moved is the same. Views from all around are only scored, so a dataset that gets some stays the same.
@@ -138,21 +141,23 @@ class Dataset:
         return f"{self.description.name} {hashlib.sha256((said + files).encode()).hexdigest()[:16]}"
 
     def image(self, camera: int, frame: int) -> np.ndarray:
-        """(H, W, 3) float32 display sRGB in [0, 1]."""
+        """Return (H, W, 3) float32 display sRGB in [0, 1]."""
         return self._read(self.file(camera, "rgb", frame), camera)
 
     def static(self, camera: int) -> np.ndarray:
-        """(H, W, 3) float32 display sRGB in [0, 1]: the same view without fire."""
+        """Return (H, W, 3) float32 display sRGB in [0, 1]: the same view without fire."""
         return self._read(self.file(camera, "static"), camera)
 
     def mask(self, camera: int, frame: int) -> np.ndarray | None:
-        """(H, W) float32 in [0, 1], 1 where flame is visible (ground truth); None when the dataset has no masks."""
+        """Return (H, W) float32 in [0, 1], 1 where flame is visible (ground truth); None when the dataset has no
+        masks."""
         if self._entry(camera).mask is None:
             return None
         return self._read(self.file(camera, "mask", frame), camera)[..., 0]
 
     def board_weight(self, camera: int) -> np.ndarray | None:
-        """(H, W) float32 in [0, 1]: what a pixel counts for in scores: 0 on the board, soft at its edge (1 - mask).
+        """Return (H, W) float32 in [0, 1]: what a pixel counts for in scores: 0 on the board, soft at its edge (1 -
+        mask).
 
         The board's LEDs are lit by the rig, not by the fire. None when the camera has no "board_mask": all count.
         """

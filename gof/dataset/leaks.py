@@ -39,7 +39,7 @@ class MadeFrom:
 
     @classmethod
     def of(cls, names: Iterable[str], frames: Iterable[int], learned: Iterable[str] = ()) -> MadeFrom:
-        """All files from the same frames."""
+        """Return all files from the same frames."""
         return cls(dict.fromkeys(names, tuple(int(k) for k in frames)), tuple(learned))
 
     @classmethod
@@ -53,7 +53,7 @@ class MadeFrom:
 
 
 def leaks(files: Mapping[str, Iterable[int]], held_out: Iterable[int]) -> dict[str, list[int]]:
-    """The files that were computed from held-out frames, with those frames."""
+    """Return the files that were computed from held-out frames, with those frames."""
     held = set(held_out)
     return {name: sorted(held & set(frames)) for name, frames in files.items() if held & set(frames)}
 

@@ -1,4 +1,4 @@
-"""What a flame-only result is drawn over: its own plates beside it (plates/CAMERA.png), else the dataset's."""
+"""The plates that a flame-only result is drawn over: its own beside it (plates/CAMERA.png), else the dataset's."""
 
 from __future__ import annotations
 

@@ -15,7 +15,7 @@ FILE = "poses.json"
 
 @dataclass(frozen=True)
 class FeatureFigures:
-    """What structure from motion found.
+    """The figures of structure from motion.
 
     Attributes:
         keypoints: per camera name.   matches: raw ones per pair, "cam_0-cam_1".
@@ -123,5 +123,5 @@ class Poses:
         write_record(folder / FILE, self)
 
     def points_array(self) -> np.ndarray:
-        """(N, 3) float64."""
+        """Return (N, 3) float64."""
         return np.array(self.points, np.float64).reshape(-1, 3)

@@ -1,7 +1,7 @@
 """The true velocity of a dataset in a few numbers, so that two datasets can be told to be the same scene.
 
 The digest is of the numbers, not of the files: another compression is the same truth. A solver that rounds otherwise on
-another processor gives another digest and nearly the same speeds.
+another CPU gives another digest and nearly the same speeds.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from gof.dataset.dataset import Dataset
 
 @dataclass(frozen=True)
 class Truth:
-    """Of a velocity store.
+    """The fingerprint of a velocity store.
 
     Attributes:
         sha256: of its times, its grid and its values.
@@ -28,7 +28,7 @@ class Truth:
 
     @classmethod
     def of(cls, dataset: Dataset) -> Truth:
-        """Reads every frame. Raises DataFormatError: the dataset has no true velocity, or it is damaged."""
+        """Read every frame. Raises DataFormatError: the dataset has no true velocity, or it is damaged."""
         store = dataset.velocity
         state = hashlib.sha256()
         state.update(np.round(store.times_s, 9).astype("<f8").tobytes())

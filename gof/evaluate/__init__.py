@@ -4,8 +4,7 @@ import sys
 
 from gof.evaluate.depth import rmse_depth
 from gof.evaluate.dve_frame import DVEResult, DVESequence, dve
-from gof.evaluate.image import psnr, ssim, temporal_l2
-from gof.evaluate.perceptual import flip, lpips
+from gof.evaluate.image import flip, lpips, psnr, ssim, temporal_l2
 from gof.evaluate.scores import Scores
 from gof.evaluate.scoring import Extras, evaluate
 from gof.evaluate.sequence import dve_sequence

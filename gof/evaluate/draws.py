@@ -8,7 +8,7 @@ import numpy as np
 
 
 def own_generator(purpose: str, seed: int = 0) -> np.random.Generator:
-    """The generator of one purpose, the same in every run.
+    """Return the generator of one purpose, the same in every run.
 
     Everybody writes `default_rng(0)`. Numbers of the same generator are not independent of a user's data: "random"
     directions would be those in which a script placed its Gaussians.

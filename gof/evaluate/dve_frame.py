@@ -14,7 +14,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, fields, replace
 from dataclasses import field as dataclass_field
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 
@@ -32,14 +32,14 @@ WIDE_VOXELS = 2.0  # beyond this standard deviation three nodes per axis no long
 
 @dataclass(frozen=True)
 class Samples:
-    """What the M Gaussians that live at one time contribute to a score; all float64."""
+    """The contributions to a score of the M Gaussians that live at one time; all float64."""
 
     time_s: float
     index: np.ndarray  # (M,) row in the scored set of Gaussians
     position: np.ndarray  # (M, 3) m, centre at this time
     weight: np.ndarray  # (M,) m^3, s_x s_y s_z alpha, > 0
     velocity: np.ndarray  # (M, 3) m/s, estimated
-    velocity_sd: np.ndarray  # (M,) m/s, how sure its components are; inf: nobody says
+    velocity_sd: np.ndarray  # (M,) m/s, how sure its components are; inf: unknown
     truth: np.ndarray  # (M, 3) m/s, expected true velocity; the field is zero outside its domain
     truth_centre: np.ndarray  # (M, 3) m/s, true velocity at the centre
     inside: np.ndarray  # (M,) share of the Gaussian inside the domain, 0..1
@@ -48,11 +48,14 @@ class Samples:
     short_waves: float = 0.0  # share of the weight in Gaussians wider than 1.5 rad of the local wavelength, 0..1
 
     def only_inside(self) -> Samples:
-        """The Gaussians with at least half of their mass in the domain; truth is averaged over that part alone."""
+        """Return the Gaussians with at least half of their mass in the domain; truth is averaged over that part
+        alone."""
         if (self.inside == 1).all():
             return self
         keep = self.inside >= 0.5
-        rows = {f.name: value[keep] for f in fields(self) if isinstance(value := getattr(self, f.name), np.ndarray)}
+        rows: dict[str, Any] = {
+            f.name: value[keep] for f in fields(self) if isinstance(value := getattr(self, f.name), np.ndarray)
+        }
         rows["truth"] = rows["truth"] / rows["inside"][:, None]
         return replace(self, **rows)
 
@@ -73,7 +76,7 @@ class Sums:
     zero_velocity: float = 0.0
     wide: float = 0.0
     short_waves: float = 0.0
-    doubted: float = 0.0  # of Gaussians that say how sure they are
+    stated: float = 0.0  # of Gaussians that say how sure they are
     within: float = 0.0  # of those, times the share of their components within one standard deviation of the truth
     error2_axis: tuple[float, float, float] = (0.0, 0.0, 0.0)
 
@@ -96,7 +99,7 @@ class DVEResult:
     weight_outside: float  # share of the Gaussians' mass outside the domain, where the truth counts as zero
     weight_zero_truth: float  # share with no true direction; it adds 0 to CosSim's numerator
     weight_zero_velocity: float  # share with no estimated direction; likewise
-    weight_undersampled: float  # share of Gaussians wider than 2 voxels, whose quadrature is doubtful
+    weight_undersampled: float  # share of Gaussians wider than 2 voxels, whose quadrature is uncertain
     weight_short_waves: float  # share of Gaussians wider than 1.5 rad of the field's wavelength (`wavelength`)
     speed_ratio: float | None  # least-squares gain sum w v.vbar / sum w |vbar|^2; 1: the speed is right
     l2_axis: tuple[float, float, float] | None  # error along world x, y, z over the norm of the whole truth
@@ -124,7 +127,7 @@ class DVEResult:
             weight_undersampled=share(s.wide),
             weight_short_waves=share(s.short_waves),
             speed_ratio=s.dot / s.truth2 if has_truth else None,
-            l2_axis=tuple(float(np.sqrt(e / s.truth2)) for e in s.error2_axis) if has_truth else None,
+            l2_axis=_axes(float(np.sqrt(e / s.truth2)) for e in s.error2_axis) if has_truth else None,
             undefined=reason,
         )
 
@@ -136,8 +139,8 @@ class DVESequence:
     pooled: DVEResult
     frames: list[DVEResult]
     times_s: list[float]
-    inside: DVEResult | None = None  # pooled over the Gaussians inside the domain; not computed for controls
-    controls: dict[str, DVESequence] = dataclass_field(default_factory=dict)
+    inside: DVEResult | None = None  # pooled over the Gaussians inside the domain; not computed for trivial baselines
+    trivial_baselines: dict[str, DVESequence] = dataclass_field(default_factory=dict)
     fluctuation: DVEResult | None = None
     within_sd: float | None = None  # share of the velocity within one standard deviation of the truth; None: no v_sd
 
@@ -150,7 +153,8 @@ class DVESequence:
         return self.pooled.cos_sim
 
     def spread(self, name: Literal["l2", "cos_sim"]) -> tuple[float, float, int] | None:
-        """Mean and (population) standard deviation over the frames where the score is defined, and their number."""
+        """Return mean and (population) standard deviation over the frames where the score is defined, and their
+        number."""
         values = [getattr(f, name) for f in self.frames if not f.undefined]
         return (float(np.mean(values)), float(np.std(values)), len(values)) if values else None
 
@@ -207,8 +211,14 @@ def probe(
     )
 
 
+def _axes(values: Iterable[float]) -> tuple[float, float, float]:
+    x, y, z = values
+    return x, y, z
+
+
 def _not_negligible(weight: np.ndarray, power: np.ndarray) -> np.ndarray:
-    """Rows with weight; the others together hold less than CULL_SHARE of `weight` and of `power`, both (N,) >= 0."""
+    """Return rows with weight; the others together hold less than CULL_SHARE of `weight` and of `power`, both (N,) >=
+    0."""
     living = max(int(np.count_nonzero(weight)), 1)
     heavy = weight >= CULL_SHARE * weight.sum() / living
     strong = power > CULL_SHARE * power.sum() / living
@@ -216,7 +226,7 @@ def _not_negligible(weight: np.ndarray, power: np.ndarray) -> np.ndarray:
 
 
 def agreement_sums(weight: np.ndarray, velocity: np.ndarray, truth: np.ndarray) -> Sums:
-    """The sums behind L2 and CosSim. weight (M,) >= 0; velocity, truth (M, 3) m/s."""
+    """Return the sums behind L2 and CosSim. weight (M,) >= 0; velocity, truth (M, 3) m/s."""
     v2, t2, dot = _row_dot(velocity, velocity), _row_dot(truth, truth), _row_dot(velocity, truth)
     norms = np.sqrt(v2) * np.sqrt(t2)
     cosine = np.divide(dot, norms, out=np.zeros_like(dot), where=norms > 0)  # no direction, no agreement: 0
@@ -230,20 +240,21 @@ def agreement_sums(weight: np.ndarray, velocity: np.ndarray, truth: np.ndarray) 
         cosine=_sum(weight * np.clip(cosine, -1, 1)),
         zero_truth=_sum(weight[t2 == 0]),
         zero_velocity=_sum(weight[v2 == 0]),
-        error2_axis=tuple(error2_axis),
+        error2_axis=_axes(error2_axis),
     )
 
 
 def weighted_sums(samples: Samples, velocity: np.ndarray | None = None, truth: np.ndarray | None = None) -> Sums:
-    """The sums of one frame; `velocity` and `truth` (M, 3) m/s replace the samples' own (controls, fluctuation)."""
+    """Return the sums of one frame; `velocity` and `truth` (M, 3) m/s replace the samples' own (trivial baselines,
+    fluctuation)."""
     own = velocity is None and truth is None
     velocity = samples.velocity if velocity is None else velocity
     truth = samples.truth if truth is None else truth
     sums = agreement_sums(samples.weight, velocity, truth)
-    if own:  # controls have no doubt of their own
-        doubted = np.where(np.isfinite(samples.velocity_sd), samples.weight, 0)
+    if own:  # trivial baselines have no uncertainty of their own
+        stated = np.where(np.isfinite(samples.velocity_sd), samples.weight, 0)
         within = np.abs(velocity - truth) <= samples.velocity_sd[:, None]
-        sums = replace(sums, doubted=_sum(doubted), within=_sum(doubted * within.mean(1)))
+        sums = replace(sums, stated=_sum(stated), within=_sum(stated * within.mean(1)))
     return replace(
         sums,
         culled=samples.culled,

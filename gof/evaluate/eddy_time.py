@@ -33,7 +33,7 @@ class EddyTime:
 
 
 def eddy_time(dataset: Dataset, seed: int = 0) -> EddyTime:
-    """Of a dataset with a true velocity. The places are drawn from the true light; where none is known, from the speed.
+    """Return that of a dataset with a true velocity. The places are drawn from the true light, else from the speed.
 
     Raises:
         GofError: fewer than 4 frames, or times that are not equally far apart.
@@ -67,14 +67,14 @@ def integral_time(history: np.ndarray) -> float:
 
 
 def _autocovariance(history: np.ndarray) -> np.ndarray:
-    """(T,) by lag, mean over places, of what is left without each place's mean over time."""
+    """Return (T,) by lag, mean over places, of what is left without each place's mean over time."""
     rest = history - history.mean(0)
     count = len(rest)
     return np.array([(rest[: count - lag] * rest[lag:]).sum(1).mean() for lag in range(count)])
 
 
 def _expected_autocovariance(count: int, eddy_frames: float) -> np.ndarray:
-    """What `_autocovariance` gives on average for a series with correlation exp(-lag / eddy_frames)."""
+    """Return what `_autocovariance` gives on average for a series with correlation exp(-lag / eddy_frames)."""
     taken = np.eye(count) - 1 / count
     rest = taken @ toeplitz(np.exp(-np.arange(count) / eddy_frames)) @ taken
     return np.array([np.diagonal(rest, lag).mean() for lag in range(count)])
@@ -91,7 +91,7 @@ def _area(covariance: np.ndarray) -> float:
 
 
 def _places(dataset: Dataset, rng: np.random.Generator) -> np.ndarray:
-    """(M, 3) world m."""
+    """Return (M, 3) world m."""
     flame = flame_grid(dataset.path, dataset.datum)
     if flame is not None:
         each = -(-PLACES // len(flame.times_s))

@@ -48,7 +48,7 @@ class EmissionScore:
     """Pooled over all frames; a place counts as much as another."""
 
     score: DVEResult
-    constant: DVEResult  # control: the mean true velocity of these places, everywhere
+    constant: DVEResult  # trivial: the mean true velocity of these places, everywhere
     uncovered: float  # share of the places without a Gaussian, 0..1
 
 
@@ -86,7 +86,8 @@ class FlameGrid(GridSequence):
             raise DataFormatError(f"{path}: light_exponent {self.light_exponent:g} of zarr.json must lie in (0, 10)")
 
     def places(self, time_s: float, count: int, rng: np.random.Generator) -> np.ndarray:
-        """(count, 3) world m, drawn evenly from the emission of the stored frame at `time_s`; (0, 3) without flame.
+        """Return (count, 3) world m, drawn evenly from the emission of the stored frame at `time_s`; (0, 3) without
+        flame.
 
         Raises:
             DataFormatError: no frame is stored for that time, or it holds NaN or negative values.
@@ -123,7 +124,8 @@ def flame_grid(folder: Path, datum: Datum) -> FlameGrid | None:
 
 
 def velocity_at(points: np.ndarray, gaussians: MovingGaussians, time_s: float) -> tuple[np.ndarray, np.ndarray]:
-    """Mean velocity (M, 3) m/s of the dynamic Gaussians at world points (M, 3), and their cover sum alpha g (M,).
+    """Return mean velocity (M, 3) m/s of the dynamic Gaussians at world points (M, 3), and their cover sum alpha g
+    (M,).
 
     Gaussians count up to REACH standard deviations of their largest axis; zero where the cover is below COVERED.
     """
@@ -222,7 +224,8 @@ def score_gradients(
     seed: int = 0,
     progress: Callable[[int, int], None] | None = None,
 ) -> GradientErrors:
-    """Errors at GRADIENTS places per frame, drawn from the true emission; the seed makes them the same for all results.
+    """Return errors at GRADIENTS places per frame, drawn from the true emission; the seed makes them the same for all
+    results.
 
     Raises:
         DataFormatError: see `FlameGrid.places`.
@@ -253,25 +256,27 @@ def score_gradients(
 
 
 def six_sides(places: np.ndarray, step: float) -> np.ndarray:
-    """(6 M, 3): the places (M, 3) moved by a step along +x, +y, +z, -x, -y, -z."""
+    """Return (6 M, 3): the places (M, 3) moved by a step along +x, +y, +z, -x, -y, -z."""
     moves = step * np.concatenate([np.eye(3), -np.eye(3)])
     return (moves[:, None] + places).reshape(-1, 3)
 
 
 def gradient(values: np.ndarray, step: float) -> np.ndarray:
-    """(M, 3, 3) of a vector's values (6 M, 3) at `six_sides`: [:, j, k] is the change of component k along axis j."""
+    """Return (M, 3, 3) of a vector's values (6 M, 3) at `six_sides`: [:, j, k] is the change of component k along axis
+    j."""
     ahead, behind = values.reshape(2, 3, -1, 3)
     return np.moveaxis((ahead - behind) / (2 * step), 0, 1)
 
 
 def curl(gradients: np.ndarray) -> np.ndarray:
-    """(M, 3) 1/s of velocity gradients (M, 3, 3) with [:, j, k] = d v_k / d x_j."""
+    """Return (M, 3) 1/s of velocity gradients (M, 3, 3) with [:, j, k] = d v_k / d x_j."""
     spin = gradients - gradients.transpose(0, 2, 1)
     return np.stack([spin[:, 1, 2], spin[:, 2, 0], spin[:, 0, 1]], -1)
 
 
 def _squares(found: np.ndarray, true: np.ndarray) -> np.ndarray:
-    """(5,) sums of squares: error and size of the vorticity, error and size of the divergence, size of the gradient."""
+    """Return (5,) sums of squares: error and size of the vorticity, error and size of the divergence, size of the
+    gradient."""
     rotation, expansion = curl(true), np.trace(true, axis1=1, axis2=2)
     parts = (
         curl(found) - rotation,

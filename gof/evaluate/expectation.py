@@ -40,7 +40,7 @@ def expected_velocity(
 def _part_by_part(
     field: StoredField, position: np.ndarray, scale: np.ndarray, rotation: np.ndarray, order: int
 ) -> Expectation:
-    """The plain quadrature on a store, so many Gaussians at a time as share a pool of chunks."""
+    """Return the plain quadrature on a store, so many Gaussians at a time as share a pool of chunks."""
     result = Expectation.empty(len(position))
     for rows, pool in pools(field, position, scale, np.abs(product_rule(order)[0]).max()):
         del pool  # the field keeps it: it is read once, not for every batch of points

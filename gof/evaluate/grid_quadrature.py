@@ -5,6 +5,8 @@ Its plain twin is `expectation.expected_velocity_plain`; both agree to float32 r
 
 from __future__ import annotations
 
+from typing import Any
+
 import drjit as dr
 import numpy as np
 
@@ -60,13 +62,13 @@ def expected_velocity_on_grid(
 
 
 def _brick_order(cell: np.ndarray, resolution) -> np.ndarray:
-    """A number per Gaussian that sorts by blocks of 16^3 cells."""
+    """Return a number per Gaussian that sorts by blocks of 16^3 cells."""
     block = np.clip(cell, 0, np.array(resolution) - 1) >> 4
     return np.ravel_multi_index(tuple(block.T), tuple((n >> 4) + 1 for n in resolution))
 
 
 def _to_device(cells: np.ndarray):
-    kind = Float if cells.dtype == np.float32 else dr.float16_array_t(Float)
+    kind: Any = Float if cells.dtype == np.float32 else dr.float16_array_t(Float)
     return kind(
         cells.reshape(-1)
     )  # on the CPU the same memory, which `sparse_grid` aligns so that kernels stay the same
@@ -76,14 +78,15 @@ def _axes(to_index: np.ndarray, scale: np.ndarray, rotation: np.ndarray) -> list
     """to_index R diag(scale): 3 x 3 Float, columns are the Gaussian's own axes in cells."""
     q = rotation.astype(np.float64)
     q /= np.linalg.norm(q, axis=1, keepdims=True)
-    w, x, y, z = (floats(c) for c in q.T)
+    columns: list[Any] = [floats(c) for c in q.T]
+    w, x, y, z = columns
     s = [floats(c) for c in scale.T]
     R = [
         [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
         [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
         [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
     ]
-    m = [[dr.opaque(Float, float(v)) for v in row] for row in to_index]
+    m: list[list[Any]] = [[dr.opaque(Float, float(v)) for v in row] for row in to_index]
     return [[(m[i][0] * R[0][k] + m[i][1] * R[1][k] + m[i][2] * R[2][k]) * s[k] for k in range(3)] for i in range(3)]
 
 
@@ -93,7 +96,7 @@ def _kernel(
     sizes = [dr.opaque(Int, n) for n in resolution]  # opaque: another grid is other data, not another kernel
     slots = UInt(pool.table.ravel())
     bricks_y, bricks_z = (dr.opaque(UInt, n) for n in pool.table.shape[1:])
-    record = Array4f if pool.cells.dtype == np.float32 else dr.float16_array_t(Array4f)
+    record: Any = Array4f if pool.cells.dtype == np.float32 else dr.float16_array_t(Array4f)
 
     def velocity(offset: list[Float]) -> tuple[Array4f, Float]:
         """Tri-linear sample `offset` cells away from `cell`'s centre, and 0 inside the domain, 1 outside."""

@@ -14,10 +14,9 @@ from gof.core.cameras import sizes_px
 from gof.core.errors import MissingDependencyError, NonFiniteError
 from gof.core.gaussians import MovingGaussians
 from gof.dataset import Dataset
-from gof.evaluate import perceptual
+from gof.evaluate.authors_figures import Flow, PublishedFrame, drawn_disparity, mean_figures, published_figures
 from gof.evaluate.depth import read_depth, rmse_to_map
-from gof.evaluate.image import psnr, ssim, temporal_l2
-from gof.evaluate.published import Flow, PublishedFrame, drawn_disparity, mean_figures, published_figures
+from gof.evaluate.image import flip, lpips, psnr, ssim, temporal_l2
 from gof.evaluate.scores import FIGURES, ImageScores, PictureFigures, PictureScore, PublishedFigures
 
 Progress = Callable[..., None]  # progress(done, total, stage=...)
@@ -142,15 +141,14 @@ def image_scores(
 
 
 def _metrics(extras: Extras) -> Metrics:
-    """What can be computed here."""
+    """Return what can be computed here."""
     metrics = Metrics({"psnr": psnr, "ssim": ssim}, [])
-    optional: dict[str, Metric] = {"flip": perceptual.flip}
-    if extras.weights is None:
+    optional: dict[str, Metric] = {"flip": flip}
+    weights = extras.weights
+    if weights is None:
         metrics.absent.append("LPIPS: give --weights, the folder with its weight file")
     else:
-        optional["lpips"] = lambda image, truth, weight: perceptual.lpips(
-            _faded(image, weight), _faded(truth, weight), extras.weights
-        )
+        optional["lpips"] = lambda image, truth, weight: lpips(_faded(image, weight), _faded(truth, weight), weights)
     black = np.zeros((64, 64, 3))
     for name, metric in optional.items():
         try:
@@ -175,7 +173,7 @@ def _draw(
     extras: Extras,
     costs: dict[str, float],
 ) -> Iterator[Frame]:
-    """The frames of a camera in order, one at a time."""
+    """Yield the frames of a camera in order, one at a time."""
     from gof.render import render  # here: it loads the compiler
 
     times_s = dataset.camera_times_s(view.number)
@@ -192,7 +190,7 @@ def _draw(
 
 
 def _with_next(frames: Iterable[Frame]) -> Iterator[tuple[Frame, Frame | None]]:
-    """Every frame with the one that follows it in the clip; None where that is not among them."""
+    """Yield every frame with the one that follows it in the clip; None where that is not among them."""
     before = None
     for frame in frames:
         if before is not None:
@@ -205,7 +203,7 @@ def _with_next(frames: Iterable[Frame]) -> Iterator[tuple[Frame, Frame | None]]:
 def _picture_score(
     dataset: Dataset, view: View, frame: Frame, after: Frame | None, metrics: Metrics, extras: Extras
 ) -> PictureScore:
-    """All scores of one held-out frame of one camera."""
+    """Return all scores of one held-out frame of one camera."""
     camera, mask, board = dataset.cameras[view.number].name, frame.mask, view.board
     figures: dict[str, float | None] = {}
     for suffix, picture in (("", frame.image), ("_plate", view.plate)):
@@ -214,7 +212,7 @@ def _picture_score(
             if name != "lpips" and mask is not None:
                 figures[f"{name}_flame{suffix}"] = metric(picture, frame.truth, _both(mask, board))
     if after is not None:
-        either = None if mask is None else np.maximum(mask, after.mask)
+        either = None if mask is None or after.mask is None else np.maximum(mask, after.mask)
         change = temporal_l2((frame.image, after.image), (frame.truth, after.truth), _both(either, board))
         figures["temporal_l2"] = change
         figures["temporal_l2_plate"] = None if change is None else 1.0  # a still picture's, by definition
@@ -230,16 +228,17 @@ def _picture_score(
 
 
 def _published(dataset: Dataset, view: View, frame: Frame, after: Frame, extras: Extras) -> PublishedFigures:
-    """The authors' figures of one held-out frame of one camera."""
+    """Return the authors' figures of one held-out frame of one camera."""
     camera = dataset.cameras[view.number].name
     expected = None if extras.disparity is None else read_depth(extras.disparity, camera, frame.number)
     board = None if view.board is None else view.board < 0.5
+    assert frame.disparity is not None and extras.flow is not None, "drawn where these figures are asked for"
     seen = PublishedFrame(frame.image, frame.truth, after.truth, board, frame.disparity, expected)
     return published_figures(seen, extras.flow, extras.weights)
 
 
 def _mean_and_spread(values: list[float | None]) -> tuple[float | None, float | None]:
-    """Mean and (population) standard deviation of the defined values; None without any."""
+    """Return mean and (population) standard deviation of the defined values; None without any."""
     defined = [value for value in values if value is not None]
     return (float(np.mean(defined)), float(np.std(defined))) if defined else (None, None)
 

@@ -38,7 +38,7 @@ class Estimate:
 
     @property
     def half_width(self) -> float | None:
-        """Of the interval that holds the true mean in CONFIDENCE of all cases."""
+        """Return half the width of the interval that holds the true mean in CONFIDENCE of all cases."""
         from scipy.stats import t
 
         if self.standard_error is None:
@@ -46,7 +46,7 @@ class Estimate:
         return float(t.ppf(0.5 + CONFIDENCE / 2, self.degrees) * self.standard_error)
 
     @property
-    def doubt(self) -> float:
+    def p_value(self) -> float:
         """The chance of a mean this far from zero, or farther, where the true one is zero; 1 where it is unknown."""
         from scipy.stats import t
 
@@ -58,7 +58,7 @@ class Estimate:
 
 
 def over_frames(values: Sequence[float], eddy_frames: float) -> Estimate:
-    """Mean over the frames of one clip.
+    """Return mean over the frames of one clip.
 
     Args:
         values: one per frame, equally far apart in time, in their order.
@@ -81,7 +81,7 @@ def over_frames(values: Sequence[float], eddy_frames: float) -> Estimate:
 
 
 def block_length(count: int, eddy_frames: float) -> int:
-    """Frames of a block: one eddy time, at least 1, and no more than a third of the clip."""
+    """Return frames of a block: one eddy time, at least 1, and no more than a third of the clip."""
     return int(np.clip(np.ceil(eddy_frames), 1, max(count // 3, 1)))
 
 
@@ -95,7 +95,7 @@ def block_variance(series: np.ndarray, block: int) -> float:
 
 @lru_cache(maxsize=64)
 def missing_share(count: int, block: int, eddy_frames: float) -> float:
-    """The true variance of the mean over what `block_variance` gives on average, for exponential correlation."""
+    """Return the true variance of the mean over what `block_variance` gives on average, for exponential correlation."""
     covariance = _covariance(count, eddy_frames)
     whole = covariance.mean()
     blocks = (np.arange(count)[:, None] + np.arange(block)) % count
@@ -104,7 +104,7 @@ def missing_share(count: int, block: int, eddy_frames: float) -> float:
 
 
 def _covariance(count: int, eddy_frames: float) -> np.ndarray:
-    """(count, count) of values of variance 1."""
+    """Return (count, count) of values of variance 1."""
     lag = np.abs(np.subtract.outer(np.arange(count), np.arange(count)))
     return np.exp(-lag / eddy_frames) if eddy_frames > 0 else np.eye(count)
 
@@ -113,7 +113,8 @@ def _covariance(count: int, eddy_frames: float) -> np.ndarray:
 
 
 def over_runs(runs: Sequence[Sequence[float]], eddy_frames: float) -> Estimate:
-    """Mean over the frames of one clip and over the runs (seeds) of a method, each (T,) values of the same frames.
+    """Return mean over the frames of one clip and over the runs (seeds) of a method, each (T,) values of the same
+    frames.
 
     Runs share the clip: its frames' scatter is that of the runs' mean. What the seed adds is the runs' own spread over
     the root of their number; a single run's is not known, and left out.
@@ -127,7 +128,7 @@ def over_runs(runs: Sequence[Sequence[float]], eddy_frames: float) -> Estimate:
 
 
 def over_scenes(scenes: Sequence[Estimate]) -> Estimate:
-    """Mean over scenes.
+    """Return mean over scenes.
 
     From three scenes on, the scenes are a sample of all fires: their spread tells how sure the mean is, and holds what
     frames and seeds add. With one or two it is only as sure as frames and seeds make it, and says nothing of others.
@@ -135,40 +136,42 @@ def over_scenes(scenes: Sequence[Estimate]) -> Estimate:
     means = np.array([scene.mean for scene in scenes])
     if len(scenes) >= 3:
         return Estimate(float(means.mean()), float(means.std(ddof=1) / np.sqrt(len(means))), len(means) - 1)
-    if any(scene.standard_error is None for scene in scenes):
+    errors = [scene.standard_error for scene in scenes if scene.standard_error is not None]
+    if len(errors) < len(scenes):
         return Estimate(float(means.mean()), None, 0)
-    error = float(np.linalg.norm([scene.standard_error for scene in scenes])) / len(scenes)
+    error = float(np.linalg.norm(errors)) / len(scenes)
     return Estimate(float(means.mean()), error, min(scene.degrees for scene in scenes))
 
 
 # ---------------------------------------------------------------- who is better
 
 
-def ranks(means: Sequence[float], doubts: np.ndarray, better: int) -> list[tuple[int, int]]:
-    """The best and the worst place that a method may have: behind all that are better beyond doubt, before all that are
-    worse beyond doubt. Who cannot be told apart shares places.
+def ranks(means: Sequence[float], p_values: np.ndarray, better: int) -> list[tuple[int, int]]:
+    """Return the best and the worst place that a method may have: behind all that are better for certain, before all
+    that are worse for certain. Who cannot be told apart shares places.
 
     Args:
         means: of each method.
-        doubts: (M, M) symmetric, the chance that a difference as large as theirs is none (`Estimate.doubt` of the
+        p_values: (M, M) symmetric, the chance that a difference as large as theirs is none (`Estimate.p_value` of the
             paired differences).
         better: 1 where high values win, -1 where low ones do.
     """
-    told = apart(doubts)
+    told = apart(p_values)
     ahead = better * np.subtract.outer(np.asarray(means, np.float64), means) > 0  # [i, j]: i is better than j
     surely_ahead = told & ahead
     best, worst = 1 + surely_ahead.sum(0), len(means) - surely_ahead.sum(1)
     return list(zip(best.tolist(), worst.tolist(), strict=True))
 
 
-def apart(doubts: np.ndarray) -> np.ndarray:
-    """(M, M) bool: which pairs can be told apart, with at most 1 - CONFIDENCE of a wrong one among all (Holm, 1979)."""
-    first, second = np.triu_indices(len(doubts), 1)
-    order = np.argsort(doubts[first, second], kind="stable")
-    told = np.zeros(np.shape(doubts), bool)
+def apart(p_values: np.ndarray) -> np.ndarray:
+    """Return (M, M) bool: which pairs can be told apart, with at most 1 - CONFIDENCE of a wrong one among all (Holm,
+    1979)."""
+    first, second = np.triu_indices(len(p_values), 1)
+    order = np.argsort(p_values[first, second], kind="stable")
+    told = np.zeros(np.shape(p_values), bool)
     for place, pair in enumerate(order):
         i, j = first[pair], second[pair]
-        if doubts[i, j] > (1 - CONFIDENCE) / (len(order) - place):
+        if p_values[i, j] > (1 - CONFIDENCE) / (len(order) - place):
             break
         told[i, j] = told[j, i] = True
     return told
@@ -178,7 +181,8 @@ def apart(doubts: np.ndarray) -> np.ndarray:
 
 
 def weighted_quantile(values: np.ndarray, weight: np.ndarray, q: float) -> float:
-    """The smallest of values (N,) up to which at least the share q of weight (N,) >= 0 lies; 0 <= q <= 1, N >= 1."""
+    """Return the smallest of values (N,) up to which at least the share q of weight (N,) >= 0 lies; 0 <= q <= 1, N >=
+    1."""
     order = np.argsort(values)
     total = np.cumsum(weight[order])
     reached = np.searchsorted(total, q * total[-1])

@@ -3,19 +3,20 @@
 from __future__ import annotations
 
 import csv
+import html
 import io
-from collections.abc import Callable, Sequence
+import re
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import ClassVar
+from typing import Any, ClassVar
 
 from gof.core.costs import StageCost, StageLog
-from gof.core.errors import DataFormatError
-from gof.evaluate.cells import in_csv, in_markdown
-from gof.evaluate.controls import BOUNDS
+from gof.core.errors import DataFormatError, printable
+from gof.evaluate.authors_figures import NAME, OTHER_FOOTAGE, THEIRS
 from gof.evaluate.method import AboutMethod
-from gof.evaluate.published import NAME, OTHER_FOOTAGE, THEIRS
 from gof.evaluate.scores import Origin, PublishedFigures, Scores
+from gof.evaluate.trivial_baselines import BOUNDS
 
 LOWER, NEITHER, HIGHER = -1, 0, 1  # which values of a column are better
 
@@ -39,7 +40,8 @@ class EvaluatedResult:
 
     @classmethod
     def of(cls, folder: Path, about: AboutMethod, scores: Scores) -> EvaluatedResult:
-        """A folder's result: what method.json says of its costs, else what the costs.json of its training does."""
+        """Return a folder's result: what method.json says of its costs, else what the costs.json of its training
+        does."""
         stages = _training(folder, scores)
         train_s, memory_mb = about.train_seconds, about.memory_mb
         if train_s is None and stages:
@@ -60,22 +62,22 @@ class Column:
 
 
 def _velocity(value: Callable) -> Callable[[EvaluatedResult], float | None]:
-    """A figure of the `VelocityScore`; None without true velocities."""
+    """Return a figure of the `VelocityScore`; None without true velocities."""
     return lambda result: None if result.scores.dve is None else value(result.scores.dve)
 
 
 def _emission(value: Callable) -> Callable[[EvaluatedResult], float | None]:
-    """A figure of the score on the emission; None where there is no such score."""
+    """Return a figure of the score on the emission; None where there is no such score."""
     return _velocity(lambda dve: None if dve.on_emission is None else value(dve.on_emission))
 
 
 def _gradients(value: Callable) -> Callable[[EvaluatedResult], float | None]:
-    """An error of the velocity's gradients; None where there is none."""
+    """Return an error of the velocity's gradients; None where there is none."""
     return _velocity(lambda dve: None if dve.gradients is None else value(dve.gradients))
 
 
 def _published(value: Callable[[PublishedFigures], float | None]) -> Callable[[EvaluatedResult], float | None]:
-    """One of the authors' figures; None where they were not asked for."""
+    """Return one of the authors' figures; None where they were not asked for."""
     return lambda result: None if result.scores.published is None else value(result.scores.published)
 
 
@@ -85,10 +87,11 @@ def _flow_prior(result: EvaluatedResult) -> str | None:
 
 
 def _baseline(key: str, better: int) -> Callable[[EvaluatedResult], float | None]:
-    """The best of the controls on the result's own Gaussians, but those that know the truth at every place."""
+    """Return the best of the trivial baselines on the result's own Gaussians, but those that know the truth at every
+    place."""
 
     def best(result: EvaluatedResult) -> float | None:
-        found = [getattr(c, key) for name, c in result.scores.controls.items() if name not in BOUNDS]
+        found = [getattr(c, key) for name, c in result.scores.trivial_baselines.items() if name not in BOUNDS]
         return max((value for value in found if value is not None), key=lambda value: better * value, default=None)
 
     return best
@@ -133,15 +136,17 @@ COLUMNS = {
 
 @dataclass(frozen=True, kw_only=True)
 class Row:
-    """A line of the leaderboard: a result, or a control of the only one. The figures are named as in COLUMNS.
+    """A line of the leaderboard: a result, or a trivial baseline of the only one. The figures are named as in COLUMNS.
 
     A line with `other_footage` shows what somebody published for other fires, and one with `unfinished` a training that
-    was stopped before its end; they compete with nobody.
+    was stopped before its end; they are not ranked.
     """
+
+    FORMER: ClassVar[dict[str, str]] = {"control": "trivial_baseline"}  # of 0.2; goes with the next version
 
     name: str
     method: str
-    control: bool = False
+    trivial_baseline: bool = False
     other_footage: bool = False
     unfinished: str | None = None
     notes: tuple[str, ...] = ()
@@ -182,7 +187,7 @@ class Row:
     @property
     def competes(self) -> bool:
         """Whether its figures may be the best of a column."""
-        return not self.control and not self.other_footage and not self.unfinished
+        return not self.trivial_baseline and not self.other_footage and not self.unfinished
 
     def text(self, column: str) -> str:
         value = getattr(self, column)
@@ -200,13 +205,13 @@ class Leaderboard:
 
 
 def about(folder: Path) -> AboutMethod:
-    """What the authors say of a method: beside its scores, or, of a scene of a submission, one folder up."""
+    """Return what the authors say of a method: beside its scores, or, of a scene of a submission, one folder up."""
     has_own = (folder / "method.json").is_file()
     return AboutMethod.read(folder if has_own else folder.resolve().parent)
 
 
 def collect(folders: Sequence[Path]) -> list[EvaluatedResult]:
-    """The results in folders with a scores.json of `gof evaluate`, with names that differ.
+    """Return the results in folders with a scores.json of `gof evaluate`, with names that differ.
 
     Seconds to train: "train_seconds" of DIR/method.json (see `AboutMethod`), or the sum of
     DIR/reconstruct/costs.json, DIR/costs.json or the one beside the result that was scored; None when there is none.
@@ -240,9 +245,11 @@ def _training(folder: Path, scores: Scores) -> tuple[StageCost, ...]:
 
 
 def rows_of(results: Sequence[EvaluatedResult]) -> list[Row]:
-    """One row per result, what the authors published if a result has their figures, then the controls of a single one.
+    """Return one row per result, what the authors published if a result has their figures, then the trivial baselines
+    of a single one.
 
-    A control is worth something on one result's Gaussians alone: beside several, each row has the best of its own.
+    A trivial baseline is worth something on one result's Gaussians alone: beside several, each row has the best of its
+    own.
     """
     rows = [
         Row(
@@ -250,42 +257,47 @@ def rows_of(results: Sequence[EvaluatedResult]) -> list[Row]:
             method=result.scores.import_.method,
             unfinished=result.unfinished,
             notes=(*result.notes, *result.scores.import_.notes, *result.scores.warnings),
-            **{key: column.value(result) for key, column in COLUMNS.items()},
+            **_figures(result, COLUMNS),
         )
         for result in results
     ]
     if any(result.scores.published is not None for result in results):
         rows.append(_authors_row())
-    controls = results[0].scores.controls if len(results) == 1 else {}
+    trivial_baselines = results[0].scores.trivial_baselines if len(results) == 1 else {}
     return rows + [
         Row(
-            name=f"control: {name}",
-            method=control.meaning,
-            control=True,
-            l2=control.l2,
-            cos_sim=control.cos_sim,
-            speed_ratio=control.speed_ratio,
+            name=f"trivial: {name}",
+            method=trivial_baseline.meaning,
+            trivial_baseline=True,
+            l2=trivial_baseline.l2,
+            cos_sim=trivial_baseline.cos_sim,
+            speed_ratio=trivial_baseline.speed_ratio,
         )
-        for name, control in controls.items()
+        for name, trivial_baseline in trivial_baselines.items()
     ]
 
 
+def _figures(result: EvaluatedResult, keys: Iterable[str]) -> dict[str, Any]:
+    """Return the fields of a `Row` with these names."""
+    return {key: COLUMNS[key].value(result) for key in keys}
+
+
 def _authors_row() -> Row:
-    """The authors' own figures, of other footage."""
+    """Return the authors' own figures, of other footage."""
     about = EvaluatedResult(
         Path(), NAME, Scores(gaussians=0, dynamic_gaussians=0, import_=Origin(NAME), published=THEIRS), None
     )
-    figures = {key: column.value(about) for key, column in COLUMNS.items() if key.startswith("published_")}
+    figures = _figures(about, [key for key in COLUMNS if key.startswith("published_")])
     return Row(name=f"{NAME}, other footage", method=OTHER_FOOTAGE, other_footage=True, **figures)
 
 
 def used_columns(rows: Sequence[Row]) -> list[str]:
-    """The columns in which any row has a value."""
+    """Return the columns in which any row has a value."""
     return [key for key in COLUMNS if any(getattr(row, key) is not None for row in rows)]
 
 
 def best_rows(rows: Sequence[Row]) -> dict[str, int]:
-    """Column -> number of the row with its best value, the first of equals; only rows that compete take part."""
+    """Return column -> number of the row with its best value, the first of equals; only rows that compete take part."""
     best = {}
     for key, column in COLUMNS.items():
         if not column.better:
@@ -300,16 +312,17 @@ def best_rows(rows: Sequence[Row]) -> dict[str, int]:
 def to_csv(rows: Sequence[Row]) -> str:
     out = io.StringIO()
     writer = csv.writer(out, lineterminator="\n")
-    writer.writerow(["name", "method", "control", "other_footage", *COLUMNS])
+    writer.writerow(["name", "method", "trivial_baseline", "other_footage", *COLUMNS])
     for row in rows:
         values = [getattr(row, key) for key in COLUMNS]
-        kind = [int(row.control), int(row.other_footage)]
+        kind = [int(row.trivial_baseline), int(row.other_footage)]
         writer.writerow([in_csv(row.name), in_csv(row.method), *kind, *("" if v is None else v for v in values)])
     return out.getvalue()
 
 
 def to_markdown(rows: Sequence[Row]) -> str:
-    """The best value of every column in bold; controls and rows of other footage in italics, never bold."""
+    """Return the best value of every column in bold; trivial baselines and rows of other footage in italics, never
+    bold."""
     keys, best = used_columns(rows), best_rows(rows)
     headings = " | ".join(COLUMNS[key].heading for key in keys)
     lines = [f"| method | {headings} |", "|---|" + "---:|" * len(keys)]
@@ -321,10 +334,31 @@ def to_markdown(rows: Sequence[Row]) -> str:
 
 
 def pareto(points: Sequence[tuple[float, float]], better: int) -> list[int]:
-    """Indices of the points (cost, score) that no other beats in both, by rising cost; `better` +1: high scores win."""
+    """Return indices of the points (cost, score) that no other beats in both, by rising cost; `better` +1: high scores
+    win."""
     best, front = None, []
     for i in sorted(range(len(points)), key=lambda i: (points[i][0], -better * points[i][1])):
         if best is None or better * points[i][1] > better * best:
             best = points[i][1]
             front.append(i)
     return front
+
+
+# ----------------------------------------------------------------
+# Names as text in the cells of tables that other programs read: a name from a file is no formula, link or markup.
+
+
+def in_csv(name: str) -> str:
+    """Spreadsheets run cells that begin like a formula, also in quotes, but not after an apostrophe."""
+    line = one_line(name)
+    return f"'{line}" if line.startswith(("=", "+", "-", "@")) else line
+
+
+def in_markdown(name: str) -> str:
+    """Return one line, without another column, a link, a style or HTML."""
+    return re.sub(r"([\\`*_\[\]()|!~#])", r"\\\1", html.escape(one_line(name), quote=False))
+
+
+def one_line(name: str) -> str:
+    """Without line ends, tabs, and what acts on terminals."""
+    return printable(" ".join(name.split()))

@@ -1,4 +1,4 @@
-"""What a method's authors say of it: method.json in a folder of results."""
+"""A method as its authors describe it: method.json in a folder of results."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ class AboutMethod:
         name: of the method; with `made_by` after it, if that is given ("CPU re-run").
         train_seconds: that its training took.
         unfinished: why the training is not the method's best ("stopped at 3000 of 12000 steps"); such a row says so in
-            its name and competes with nobody.
+            its name and is not ranked.
         given: what the method was given ("plates", "starting points", "all pictures, held-out ones too").
         authors: of the method.
         code, commit, licence: where its code is, which version of it ran, and what others may do with it.
@@ -57,16 +57,17 @@ class AboutMethod:
                 raise DataFormatError(f"{field}: {number} is no number of {unit}")
 
     def title(self, folder: Path) -> str:
-        """What the row is called.
+        """Return what the row is called.
 
         Raises:
-            DataFormatError: as a control is, or with characters that cannot be seen, which turn or hide others.
+            DataFormatError: as a trivial baseline is, or with invisible characters, which turn or hide others.
         """
         remarks = [remark for remark in (self.made_by, self.unfinished) if remark]
         name = self.name or folder.resolve().name
-        if name.strip().lower().startswith("control:") or not "".join((name, *remarks)).isprintable():
+        ours = name.strip().lower().startswith(("trivial:", "control:"))  # today's name of such rows, and that of 0.2
+        if ours or not "".join((name, *remarks)).isprintable():
             raise DataFormatError(
-                f"{folder}: a method cannot be called {name!r}: 'control:' marks our own rows, and every character "
+                f"{folder}: a method cannot be called {name!r}: 'trivial:' marks our own rows, and every character "
                 "must be visible; give it another name in method.json"
             )
         return f"{name} ({', '.join(remarks)})" if remarks else name
@@ -77,11 +78,12 @@ class AboutMethod:
         return (*found, f"knew before: {', '.join(self.prior)}") if self.prior else tuple(found)
 
     def missing(self) -> list[str]:
-        """What a submission must still say."""
+        """Return what a submission must still say."""
         return [name for name in ASKED if getattr(self, name) in (None, ())] + ["prior"] * (self.prior is None)
 
     @classmethod
     def read(cls, folder: Path) -> AboutMethod:
-        """Of a folder; empty where it has none. Raises DataFormatError: a field is of the wrong type (named)."""
+        """Read it from a folder; empty where it has none. Raises DataFormatError: a field is of the wrong type
+        (named)."""
         path = folder / "method.json"
         return convert_json(cls, read_json(path), path) if path.is_file() else cls()

@@ -13,15 +13,17 @@ ORDERS = (1, 3, 5, 7)
 
 
 class VelocityLike(Protocol):
-    """What the evaluator needs of a field: `gof.core.fields.VelocityField`, or an analytic field."""
+    """A field as the evaluator needs it: `gof.core.fields.VelocityField`, or an analytic field."""
 
-    voxel_size: float
+    @property
+    def voxel_size(self) -> float:
+        """Side of a voxel, m."""
 
     def sample(self, points: np.ndarray) -> np.ndarray:
-        """World points (M, 3) m to velocity (M, 3) m/s; zero outside the domain."""
+        """Return the velocity (M, 3) m/s at world points (M, 3) m; zero outside the domain."""
 
     def contains(self, points: np.ndarray) -> np.ndarray:
-        """World points (M, 3) m to (M,) bool."""
+        """Return whether world points (M, 3) m lie in the domain, (M,) bool."""
 
 
 class Expectation(NamedTuple):
@@ -31,12 +33,12 @@ class Expectation(NamedTuple):
 
     @classmethod
     def empty(cls, count: int) -> Expectation:
-        """Of a field at rest that has no end; to be filled."""
+        """Return the expectation of a field at rest that has no end; to be filled."""
         return cls(np.zeros((count, 3)), np.zeros((count, 3)), np.ones(count))
 
 
 def product_rule(order: int) -> tuple[np.ndarray, np.ndarray]:
-    """Nodes (order^3, 3) in standard deviations and weights (order^3,) that sum to one.
+    """Return nodes (order^3, 3) in standard deviations and weights (order^3,) that sum to one.
 
     The weight function is the *probabilists'* exp(-x^2/2) (`hermegauss`), so a node is `centre + R (s * node)` without
     the factor sqrt(2) of `hermgauss`. `order` counts nodes per axis: exact for polynomials of degree 2 order - 1 per

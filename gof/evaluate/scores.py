@@ -6,6 +6,7 @@ None stands for "undefined" or "not asked for"; docs/dve.md and docs/formats.md 
 from __future__ import annotations
 
 import os
+import warnings
 from collections.abc import Callable
 from dataclasses import dataclass, field, fields, make_dataclass, replace
 from pathlib import Path
@@ -61,8 +62,8 @@ class ClipScore(DVEResult):
 
 
 @dataclass(frozen=True, kw_only=True)
-class ControlScore(ClipScore):
-    """A control (`gof.evaluate.controls`); `meaning` is a sentence for people."""
+class TrivialScore(ClipScore):
+    """A trivial baseline (`gof.evaluate.trivial_baselines`); `meaning` is a sentence for people."""
 
     meaning: str
 
@@ -88,8 +89,8 @@ class VelocityScore(ClipScore):
     `inside` pools the Gaussians inside the domain alone; `fluctuation` is what is left without the mean of each height;
     `within_sd` is the share of the velocity's components within one v_sd of the truth, 0.68 where errors are normal and
     v_sd is right, None where no Gaussian has one;
-    `skill_over_NAME` = 1 - (L2 / L2 of the control)^2, None where there is no such control; `on_emission` and
-    `gradients` are None for a dataset without a flame grid.
+    `skill_over_NAME` = 1 - (L2 / L2 of the trivial baseline)^2, None where there is no such trivial baseline;
+    `on_emission` and `gradients` are None for a dataset without a flame grid.
     """
 
     frames: tuple[FrameScore, ...]
@@ -137,7 +138,7 @@ class PictureFigures:
 
 @dataclass(frozen=True, kw_only=True)
 class PublishedFigures:
-    """The six that the authors publish, by their definitions (`gof.evaluate.published`)."""
+    """The six that the authors publish, by their definitions (`gof.evaluate.authors_figures`)."""
 
     psnr_flame: float | None = None
     ssim_flame: float | None = None
@@ -161,8 +162,8 @@ Spread = make_dataclass("Spread", [(f"{name}_std", float | None, None) for name 
 
 
 @dataclass(frozen=True, kw_only=True)
-class ImageScores(Spread):
-    """What is behind the means: every picture, and of each figure F its standard deviation over pictures, `F_std`.
+class ImageScores(Spread):  # type: ignore[valid-type, misc]  # a class made from FIGURES
+    """The figures behind the means: every picture, and of each figure F its standard deviation over pictures, `F_std`.
 
     `board_share` of the pixels do not count; `absent` says which scores are not there, and why. `sizes_px` are the
     (width, height) that pictures were scored at: the same result scores lower at a larger size.
@@ -265,7 +266,7 @@ class Scores(PictureFigures):
         flow_prior: whether a learned flow prior had a part in it; None where the result does not say.
         warnings: hints that something is in other units or another world, or missing.
         dve: None when the dataset has no true velocity.
-        controls: by name (`gof.evaluate.controls.CONTROLS`); empty without `dve`.
+        trivial_baselines: by name (`gof.evaluate.trivial_baselines.TRIVIAL_BASELINES`); empty without `dve`.
         published: means over the held-out pictures; None when not asked for.
         images: None when pictures were not asked for.
         around: of cameras all around the flame; empty where the dataset has none.
@@ -274,6 +275,7 @@ class Scores(PictureFigures):
 
     SCHEMA: ClassVar[str] = "gof-scores"
     VERSION: ClassVar[int] = 1
+    FORMER: ClassVar[dict[str, str]] = {"controls": "trivial_baselines"}  # of 0.2; goes with the next version
 
     gaussians: int
     dynamic_gaussians: int
@@ -281,11 +283,17 @@ class Scores(PictureFigures):
     flow_prior: bool | None = None
     warnings: tuple[str, ...] = ()
     dve: VelocityScore | None = None
-    controls: dict[str, ControlScore] = field(default_factory=dict)
+    trivial_baselines: dict[str, TrivialScore] = field(default_factory=dict)
     published: PublishedFigures | None = None
     images: ImageScores | None = None
     around: tuple[AroundScore, ...] = ()
     costs: dict[str, float] = field(default_factory=dict)
+
+    @property
+    def controls(self) -> dict[str, TrivialScore]:
+        """The trivial baselines by their old name, which goes with the next version."""
+        warnings.warn("scores.controls is now scores.trivial_baselines", DeprecationWarning, stacklevel=2)
+        return self.trivial_baselines
 
     @classmethod
     def read(cls, path: Path) -> Scores:
@@ -307,7 +315,7 @@ class Scores(PictureFigures):
         write_record(path, self._with_paths(lambda name: without_place(Path(name), path.parent)))
 
     def _with_paths(self, moved: Callable[[str], str]) -> Scores:
-        """These scores with the path of every file that they name mapped."""
+        """Return these scores with the path of every file that they name mapped."""
         origin = self.import_
         path, options = origin.path and moved(origin.path), origin.options
         if options is not None and options.world is not None:

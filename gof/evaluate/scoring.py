@@ -1,4 +1,4 @@
-"""`evaluate`: every score of a result against a dataset, with the controls and what each part cost."""
+"""`evaluate`: every score of a result against a dataset, with the trivial baselines and what each part cost."""
 
 from __future__ import annotations
 
@@ -16,26 +16,26 @@ from gof.dataset import Dataset
 from gof.dataset.leaks import MadeFrom, leaks
 from gof.dataset.plates import own_plate
 from gof.evaluate.around import ViewAround, angles_deg, score_around
-from gof.evaluate.controls import CONTROLS, skill
 from gof.evaluate.dve_frame import DVESequence, Opacity
 from gof.evaluate.emission import EmissionScore, GradientErrors, flame_grid, score_flame
 from gof.evaluate.image_scores import BLACK, Extras, Progress, image_scores, timed
 from gof.evaluate.scores import (
     Agreement,
     AroundScore,
-    ControlScore,
     EmissionFigures,
     FrameScore,
     Origin,
     Scores,
+    TrivialScore,
     UsedAlignment,
     UsedOptions,
     VelocityScore,
 )
 from gof.evaluate.sequence import dve_sequence, sanity_warnings
+from gof.evaluate.trivial_baselines import TRIVIAL_BASELINES, skill
 from gof.io.importers import ImportOptions, read_result
 from gof.io.importers.alignment import align_cameras, read_cameras, require_same_world
-from gof.io.importers.said import in_words, with_said
+from gof.io.importers.sidecar import in_words, with_said
 
 NO_PICTURES = "the dataset holds no frame out, so there are no scores of pictures"
 OURS = ("gof", "memory")  # methods whose results without static Gaussians are known to be flames alone
@@ -97,7 +97,10 @@ def evaluate(
             times_s = np.array(sequence.times_s)
             shine = None if flame is None else score_flame(gaussians, truth, flame, times_s, progress)
         figures["dve"] = _velocity_score(sequence, dataset.datum.time_s, order, opacity, shine)
-        figures["controls"] = {name: _control_score(name, control) for name, control in sequence.controls.items()}
+        figures["trivial_baselines"] = {
+            name: _trivial_score(name, trivial_baseline)
+            for name, trivial_baseline in sequence.trivial_baselines.items()
+        }
         warnings += sanity_warnings(sequence)
     else:
         warnings.append("the dataset has no true velocity field, so there is no DVE")
@@ -146,12 +149,14 @@ def _around(
 
 
 def is_flame_alone(gaussians: MovingGaussians, method: str, flame_only: bool) -> bool:
-    """Whether a result is drawn over plates: ours without static Gaussians, and others that say they are flames."""
+    """Return whether a result is drawn over plates: ours without static Gaussians, and others that say they are
+    flames."""
     return bool(gaussians.dynamic.all()) and (flame_only or method in OURS)
 
 
 def _drawn_as(origin: Origin, gaussians: MovingGaussians, flame_only: bool) -> Origin:
-    """The origin with what its pictures are drawn over, and a note where that may be another than was thought of."""
+    """Return the origin with what its pictures are drawn over, and a note where that may be another than was thought
+    of."""
     over_plates = is_flame_alone(gaussians, origin.method, flame_only)
     said = (
         "pictures are those of its Gaussians alone, over black; `gof convert RESULT --flame-only` says that it is a "
@@ -189,7 +194,7 @@ def _load(
 
 
 def _leak_warnings(made_from: MadeFrom | None, held_out: list[int]) -> list[str]:
-    """What a result learned from that is held out here, in words."""
+    """Return what a result learned from that is held out here, in words."""
     found = leaks(made_from.files if made_from else {}, held_out).values()
     frames = sorted({frame for frames in found for frame in frames})
     said = f"it was made from frames {frames}, which are held out here: its scores are not those of unseen frames"
@@ -204,7 +209,7 @@ def known_frames(gaussians: MovingGaussians, dataset: Dataset) -> np.ndarray:
 
 
 def _partly(gaussians: MovingGaussians, known: np.ndarray, held_out: list[int]) -> list[str]:
-    """A warning where a result says something about a part of the clip alone: of `known` (T,) frames."""
+    """Return a warning where a result says something about a part of the clip alone: of `known` (T,) frames."""
     if known.all():
         return []
     first, last = gaussians.covered_s
@@ -219,7 +224,7 @@ def _partly(gaussians: MovingGaussians, known: np.ndarray, held_out: list[int]) 
 
 
 def _scored_times(truth: VelocitySequence, dataset: Dataset) -> np.ndarray:
-    """(K,) s: the frames of the velocity store that lie in the clip, half a frame's time around it included."""
+    """Return (K,) s: the frames of the velocity store that lie in the clip, half a frame's time around it included."""
     slack = dataset.frame_time_s / 2
     in_clip = (truth.times_s >= dataset.times_s[0] - slack) & (truth.times_s <= dataset.times_s[-1] + slack)
     if not in_clip.any():
@@ -243,8 +248,9 @@ def _emission_figures(found: EmissionScore) -> EmissionFigures:
     )
 
 
-def _clip_figures(sequence: DVESequence) -> dict[str, float | int | None]:
-    """The fields of a `ClipScore`: the pooled score, and mean and standard deviation over the frames that have one."""
+def _clip_figures(sequence: DVESequence) -> dict[str, Any]:
+    """Return the fields of a `ClipScore`: the pooled score, and mean and standard deviation over the frames that have
+    one."""
     l2_mean, l2_std, _ = sequence.spread("l2") or (None, None, 0)
     cos_mean, cos_std, count = sequence.spread("cos_sim") or (None, None, 0)
     return asdict(sequence.pooled) | {
@@ -256,8 +262,8 @@ def _clip_figures(sequence: DVESequence) -> dict[str, float | int | None]:
     }
 
 
-def _control_score(name: str, control: DVESequence) -> ControlScore:
-    return ControlScore(**_clip_figures(control), meaning=CONTROLS[name])
+def _trivial_score(name: str, trivial_baseline: DVESequence) -> TrivialScore:
+    return TrivialScore(**_clip_figures(trivial_baseline), meaning=TRIVIAL_BASELINES[name])
 
 
 def _velocity_score(
@@ -267,15 +273,19 @@ def _velocity_score(
     opacity: Opacity,
     shine: tuple[EmissionScore, GradientErrors] | None,
 ) -> VelocityScore:
+    inside, fluctuation = sequence.inside, sequence.fluctuation
+    assert inside is not None and fluctuation is not None, "scored with its trivial baselines"
     frames = zip(sequence.times_s, sequence.frames, strict=True)
-    controls = ((name, sequence.controls.get(name)) for name in CONTROLS)
-    skills = {f"skill_over_{name}": skill(sequence.pooled, c.pooled) if c else None for name, c in controls}
+    trivial_baselines = ((name, sequence.trivial_baselines.get(name)) for name in TRIVIAL_BASELINES)
+    skills: dict[str, Any] = {
+        f"skill_over_{name}": skill(sequence.pooled, c.pooled) if c else None for name, c in trivial_baselines
+    }
     return VelocityScore(
         **_clip_figures(sequence),
         **skills,
         frames=tuple(FrameScore(t + zero_s, f.l2, f.cos_sim, f.n, f.undefined) for t, f in frames),
-        inside=Agreement.of(sequence.inside),
-        fluctuation=sequence.fluctuation,
+        inside=Agreement.of(inside),
+        fluctuation=fluctuation,
         within_sd=sequence.within_sd,
         order=order,
         opacity=opacity,

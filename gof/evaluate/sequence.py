@@ -1,7 +1,8 @@
-"""DVE over the frames of a sequence, with the controls that tell a good score from an easy one."""
+"""DVE over the frames of a sequence, with the trivial baselines that tell a good score from an easy one."""
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 
@@ -10,38 +11,43 @@ import numpy as np
 from gof.core.errors import GofError
 from gof.core.fields import VelocitySequence
 from gof.core.gaussians import MovingGaussians
-from gof.evaluate.controls import fluctuation, score_controls
 from gof.evaluate.dve_frame import DVEResult, DVESequence, Opacity, Samples, Sums, probe, weighted_sums
 from gof.evaluate.sparse_grid import StoredField
+from gof.evaluate.trivial_baselines import fluctuation, score_trivial_baselines
 
 
 def dve_sequence(
     gaussians: MovingGaussians,
     sequence,
-    times_s: Sequence[float] | None = None,
+    times_s: Sequence[float] | np.ndarray | None = None,
     order: int = 3,
     opacity: Opacity = "temporal",
     include_static: bool = False,
-    controls: bool = True,
+    trivial_baselines: bool = True,
     seed: int = 0,
     progress: Callable[[int, int], None] | None = None,
+    controls: bool | None = None,
 ) -> DVESequence:
-    """DVE over the frames of a sequence, with the controls that tell a good score from an easy one.
+    """DVE over the frames of a sequence, with the trivial baselines that tell a good score from an easy one.
 
     Args:
         gaussians, order, opacity, include_static: as in `dve`.
         sequence: `VelocitySequence`: `.times_s` and `.at(time_s)` (which interpolates linearly between stored frames).
         times_s: times to score; default all of the sequence's.
-        controls: also score zero, random, shuffled, constant, per-height and true-centre velocities on the same
-            Gaussians and the fluctuation (gof.evaluate.controls). Keeps about 130 bytes per living Gaussian and frame;
-            without them memory does not grow with the number of frames.
-        seed: of the random and shuffled controls.
+        trivial_baselines: also score zero, random, shuffled, constant, per-height and true-centre velocities on the
+            same Gaussians and the fluctuation (gof.evaluate.trivial_baselines). Keeps about 130 bytes per living
+            Gaussian and frame; without them memory does not grow with the number of frames.
+        seed: of the random and shuffled trivial baselines.
         progress: called with (frames done, frames in all).
+        controls: the old name of `trivial_baselines`; goes with the next version.
     Raises:
         GofError: no dynamic Gaussian, no frame, no weight at any time, clocks that do not overlap, or a time outside
             the sequence.
         NonFiniteError: NaN or Inf in the field near a Gaussian.
     """
+    if controls is not None:
+        warnings.warn("dve_sequence(controls=) is now trivial_baselines=", DeprecationWarning, stacklevel=2)
+        trivial_baselines = controls
     times = np.asarray(sequence.times_s if times_s is None else times_s, np.float64)
     _require_common_clock(gaussians, times, include_static)
     first, last = gaussians.covered_s  # frames that a method did not export cannot be scored
@@ -56,7 +62,7 @@ def dve_sequence(
         stored = isinstance(sequence, VelocitySequence)
         field = StoredField(sequence, float(time_s)) if stored else sequence.at(float(time_s))
         samples = probe(gaussians, field, float(time_s), order, opacity, include_static)
-        if controls:
+        if trivial_baselines:
             frames.append(samples)
         own = weighted_sums(samples)
         pooled = pooled + own
@@ -73,11 +79,13 @@ def dve_sequence(
         frames=results,
         times_s=times.tolist(),
         inside=DVEResult.from_sums(inside),
-        within_sd=pooled.within / pooled.doubted if pooled.doubted > 0 else None,
+        within_sd=pooled.within / pooled.stated if pooled.stated > 0 else None,
     )
-    if not controls:
+    if not trivial_baselines:
         return scored
-    return replace(scored, controls=score_controls(gaussians, frames, seed), fluctuation=fluctuation(frames))
+    return replace(
+        scored, trivial_baselines=score_trivial_baselines(gaussians, frames, seed), fluctuation=fluctuation(frames)
+    )
 
 
 def _require_common_clock(gaussians: MovingGaussians, times: np.ndarray, include_static: bool) -> None:

@@ -111,7 +111,8 @@ class Pool:
 def cell_ranges(
     field: VelocityField | StoredField, position: np.ndarray, scale: np.ndarray, outermost: float
 ) -> tuple[np.ndarray, np.ndarray]:
-    """First and last cell (M, 3) that nodes up to `outermost` standard deviations along each own axis can fall into.
+    """Return first and last cell (M, 3) that nodes up to `outermost` standard deviations along each own axis can fall
+    into.
 
     No node is farther from the centre along grid axis i than |row i of world_to_index| |scale| outermost.
     """
@@ -125,7 +126,8 @@ def cell_ranges(
 def pools(
     field: VelocityField | StoredField, position: np.ndarray, scale: np.ndarray, outermost: float
 ) -> Iterator[tuple[np.ndarray, Pool]]:
-    """Rows of Gaussians, (K,) numbers, with the pool that answers for all their nodes; arguments as in `cell_ranges`.
+    """Yield rows of Gaussians, (K,) numbers, with the pool that answers for all their nodes; arguments as in
+    `cell_ranges`.
 
     Whoever takes them lets go of a pool before asking for the next one: both at once would be the peak of the memory.
     """
@@ -135,7 +137,8 @@ def pools(
 
 
 def touched_chunks(field: VelocityField | StoredField, low: np.ndarray, high: np.ndarray) -> np.ndarray:
-    """(bricks per axis) bool: the chunks that any of the cell ranges low..high, (M, 3) whole numbers, reaches into."""
+    """Return (bricks per axis) bool: the chunks that any of the cell ranges low..high, (M, 3) whole numbers, reaches
+    into."""
     size = np.array(field.resolution)
     bricks = -(-size // CHUNK)
     if bricks.prod() <= FEW:
@@ -154,7 +157,7 @@ def touched_chunks(field: VelocityField | StoredField, low: np.ndarray, high: np
 
 
 def _flat(number: np.ndarray, shape) -> np.ndarray:
-    """(M,) position of (M, 3) numbers in an array of this shape."""
+    """Return (M,) position of (M, 3) numbers in an array of this shape."""
     return np.ravel_multi_index(tuple(number.T), tuple(shape))
 
 
@@ -172,7 +175,8 @@ def parts(field, low: np.ndarray, high: np.ndarray, rows: np.ndarray) -> Iterato
 
 
 def pool_of(field: VelocityField | StoredField, needed: np.ndarray) -> Pool:
-    """The pool for chunks of `touched_chunks`; a stored field keeps its last one: its frame is asked for twice."""
+    """Return the pool for chunks of `touched_chunks`; a stored field keeps its last one: its frame is asked for
+    twice."""
     if not isinstance(field, StoredField):
         return _fill(field, needed)
     state = field.__dict__

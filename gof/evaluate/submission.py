@@ -12,20 +12,29 @@ SUBMISSION/method.json                          who, with which code, from which
 from __future__ import annotations
 
 import os
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Literal
 
 import numpy as np
 
-from gof.core.errors import DataFormatError
+from gof.core.errors import DataFormatError, GofError
 from gof.core.files import is_name, path_in
 from gof.core.gaussians import MovingGaussians
 from gof.dataset import Dataset
+from gof.dataset.leaks import FILE as MADE_FROM
+from gof.dataset.leaks import MadeFrom, leaks
 from gof.dataset.plates import background
+from gof.evaluate.image import psnr
+from gof.evaluate.intervals import over_frames
 from gof.evaluate.method import AboutMethod
 from gof.evaluate.scores import Scores
-from gof.footage.pictures import write_picture
+from gof.evaluate.scoring import evaluate, known_frames
+from gof.evaluate.suite_board import beyond_sense, too_good
+from gof.evaluate.training_curve import FILE as CURVE
+from gof.evaluate.training_curve import TrainingCurve
+from gof.footage.pictures import read_picture, write_picture
 from gof.io.importers import ImportOptions, read_result
 
 SCORES, PICTURES = "scores.json", "pictures"
@@ -56,7 +65,7 @@ class Run:
 
     @classmethod
     def open(cls, folder: Path, scene: str) -> Run:
-        """Raises DataFormatError: no scores.json, or it names a result that is not inside the folder."""
+        """Open it. Raises DataFormatError: no scores.json, or it names a result that is not inside the folder."""
         scores = Scores.read(folder / SCORES)
         origin = scores.import_
         if origin.path is None or origin.alignment is not None:
@@ -99,19 +108,19 @@ class Submission:
 
 
 def runs_of(scene: Path) -> tuple[Path, ...]:
-    """The folders of a scene's runs: itself where it has a scores.json, else the folders in it that do."""
+    """Return the folders of a scene's runs: itself where it has a scores.json, else the folders in it that do."""
     if (scene / SCORES).is_file():
         return (scene,)
     return tuple(sorted(path for path in scene.iterdir() if _counts(path) and (path / SCORES).is_file()))
 
 
 def _counts(path: Path) -> bool:
-    """Whether a folder may be a scene or a run: hidden ones are not."""
+    """Return whether a folder may be a scene or a run: hidden ones are not."""
     return is_name(path.name) and not path.name.startswith(".")
 
 
 def _inside(folder: Path, path: Path) -> None:
-    """Raises DataFormatError: a file of a run is elsewhere, or not there."""
+    """Raise DataFormatError: a file of a run is elsewhere, or not there."""
     path_in(folder, Path(os.path.relpath(path, folder)).as_posix())
     if not path.exists():
         raise DataFormatError(f"{path}: no such file; {folder / SCORES} names it as the result, or what it needs")
@@ -132,7 +141,7 @@ class Shown:
 def draw(
     gaussians: MovingGaussians, dataset: Dataset, result: Path, over_plates: bool, frames: list[int]
 ) -> Iterator[Shown]:
-    """The frames of every camera, drawn by our renderer as `gof evaluate` draws them."""
+    """Yield the frames of every camera, drawn by our renderer as `gof evaluate` draws them."""
     from gof.render import render  # here: it loads the compiler
 
     for number, camera in enumerate(dataset.cameras):
@@ -158,5 +167,228 @@ def write_pictures(run: Run, dataset: Dataset) -> None:
 
 
 def read_again(run: Run, dataset: Dataset) -> MovingGaussians:
-    """The Gaussians of a run, read as its scores say, beside the dataset. Raises DataFormatError: they are damaged."""
+    """Return the Gaussians of a run, read as its scores say, beside the dataset. Raises DataFormatError: they are
+    damaged."""
     return read_result(run.result, run.options).gaussians.measured_from(dataset.datum)
+
+
+# ----------------------------------------------------------------
+# Whether a submission can be believed: every claim that can be looked at is looked at, and every finding is a line.
+#
+# A cross refuses the submission. A question mark is a hint that people must judge.
+
+Verdict = Literal["ok", "hint", "refused"]
+SIGNS: dict[Verdict, str] = {"ok": "✓", "hint": "?", "refused": "✗"}
+
+ORDER, OPACITY = 3, "temporal"  # of every score; nothing in a submission chooses them
+SEEDS = 3  # runs of a method whose training is random
+ALIKE_DB = 40.0  # PSNR, whole and in the flame, of a submitted picture against ours of the same Gaussians
+SAME = 0.005  # relative: what another CPU may change of a score
+FIGURES = ("l2", "cos_sim")  # of the velocities; and of the pictures:
+PICTURE_FIGURES = ("psnr", "psnr_flame", "ssim", "ssim_flame")
+
+
+@dataclass(frozen=True)
+class Finding:
+    """One line of a check: what was looked at (`of`: "jet/seed_0", "method.json"), and what was found."""
+
+    of: str
+    what: str
+    verdict: Verdict
+    found: str
+
+    def __str__(self) -> str:
+        return f"{SIGNS[self.verdict]} {self.of}: {self.what}: {self.found}"
+
+
+def check(
+    submission: Submission,
+    datasets: dict[str, Dataset],
+    scored: Callable[[Run, Dataset], Scores] | None = None,
+) -> Iterator[Finding]:
+    """Yield all findings about a submission, as they are made.
+
+    Args:
+        datasets: of the suite, by the name of the scene.
+        scored: scores of a run, computed anew (default: `evaluate`).
+    """
+    yield from _about(submission, datasets)
+    for scene, runs in submission.runs.items():
+        if scene not in datasets:
+            continue
+        for folder in runs:
+            name = folder.relative_to(submission.folder).as_posix()
+            try:
+                yield from _run(Run.open(folder, scene), datasets[scene], submission, name, scored or score_again)
+            except GofError as e:
+                yield Finding(name, "can be read", "refused", str(e))
+
+
+def score_again(run: Run, dataset: Dataset) -> Scores:
+    """Return what a run scores, computed from its files: read and drawn as its scores.json says, scored as everybody's
+    is."""
+    scored = {"order": ORDER, "opacity": OPACITY}
+    return evaluate(run.result, dataset, foreign=run.options, flame_only=run.scores.import_.over_plates, **scored)
+
+
+# ---------------------------------------------------------------- the method
+
+
+def _about(submission: Submission, datasets: dict[str, Dataset]) -> Iterator[Finding]:
+    method = submission.method
+    missing = method.missing()
+    said = f"does not say {', '.join(missing)}" if missing else "says who, with what code, from what knowledge"
+    yield Finding("method.json", "complete", "refused" if missing else "ok", said)
+    unknown = sorted(submission.runs.keys() - datasets.keys())
+    if unknown:
+        yield Finding("scenes", "of the suite", "refused", f"{', '.join(unknown)}: no such scene here")
+    absent = sorted(datasets.keys() - submission.runs.keys())
+    said = f"no result of {', '.join(absent)}: the row is shown, and not ranked" if absent else "all there"
+    yield Finding("scenes", "all of them", "hint" if absent else "ok", said)
+    few = sorted(scene for scene, runs in submission.runs.items() if len(runs) < SEEDS)
+    if method.random and few:
+        yield Finding("runs", "seeds", "hint", f"training is random, and {', '.join(few)} have fewer than {SEEDS} runs")
+
+
+# ---------------------------------------------------------------- a run
+
+
+def _run(
+    run: Run, dataset: Dataset, submission: Submission, name: str, scored: Callable[[Run, Dataset], Scores]
+) -> Iterator[Finding]:
+    pictures = _missing_pictures(run, dataset)
+    absent = [MADE_FROM] * (not (run.folder / MADE_FROM).is_file()) + pictures
+    said = f"{', '.join(absent[:3])}{' ...' if len(absent) > 3 else ''} not there" if absent else "all there"
+    yield Finding(name, "files", "refused" if absent else "ok", said)
+    gaussians = read_again(run, dataset)
+    if (run.folder / CURVE).is_file():
+        TrainingCurve.read(run.folder / CURVE)
+    yield _clock(gaussians, dataset, name)
+    yield from _frames(run, dataset, submission, name)
+    if not pictures:
+        yield _pictures(run, dataset, gaussians, name)
+    yield _unseen(run, dataset, gaussians, name)
+    again = scored(run, dataset)
+    if unlikely := beyond_sense(again):
+        yield Finding(name, "scores are those of a flame", "refused", unlikely)
+    if suspicious := too_good(again):
+        yield Finding(name, "velocities are not the truth's", "hint", suspicious)
+    yield from _scores(run, again, name)
+
+
+def _missing_pictures(run: Run, dataset: Dataset) -> list[str]:
+    files = [picture_file(run.folder, camera.name, k) for camera in dataset.cameras for k in dataset.test_frames]
+    return [path.relative_to(run.folder).as_posix() for path in files if not path.is_file()]
+
+
+def _clock(gaussians: MovingGaussians, dataset: Dataset, name: str) -> Finding:
+    """Return the result speaks of the whole clip, and of no time far from it."""
+    first, last = float(dataset.times_s[0]), float(dataset.times_s[-1])
+    known = known_frames(gaussians, dataset)
+    born, dead = gaussians.life()
+    clip = f"the clip's {first:g} to {last:g} s"
+    if not known.all():
+        covered = "{:g} to {:g} s".format(*gaussians.covered_s)
+        return Finding(name, "clock", "refused", f"says something about {covered} only, not about all of {clip}")
+    if dead < first or born > last:
+        return Finding(name, "clock", "refused", f"its Gaussians live from {born:g} to {dead:g} s, outside {clip}")
+    return Finding(name, "clock", "ok", f"covers {clip}")
+
+
+def _frames(run: Run, dataset: Dataset, submission: Submission, name: str) -> Iterator[Finding]:
+    """Yield whether the run says what it was made from, and whether method.json says it too."""
+    made_from = MadeFrom.read(run.folder)
+    if made_from is None:
+        return
+    found = leaks(made_from.files, dataset.test_frames)
+    if found:
+        frames = sorted({frame for frames in found.values() for frame in frames})
+        said = f"{', '.join(found)} made from held-out frames {frames}"
+        yield Finding(name, "held-out frames", "refused", said)
+    elif not made_from.files:
+        yield Finding(name, "held-out frames", "refused", f"{MADE_FROM} names no file: from which frames was it made?")
+    else:
+        yield Finding(name, "held-out frames", "ok", "in nothing that it was made from, by its own word")
+    if made_from.learned and not submission.method.prior:
+        said = f"{MADE_FROM} says that {', '.join(made_from.learned)} went in; method.json names no prior"
+        yield Finding(name, "prior knowledge", "refused", said)
+    if run.scores.import_.over_plates and not any("plate" in given for given in submission.method.given):
+        said = "it is drawn over the dataset's plates; `given` in method.json does not name them"
+        yield Finding(name, "plates", "refused", said)
+
+
+def _pictures(run: Run, dataset: Dataset, gaussians: MovingGaussians, name: str) -> Finding:
+    """Return the checkpoint draws the pictures that came with it."""
+    ours = draw(gaussians, dataset, run.result, run.scores.import_.over_plates, dataset.test_frames)
+    worst = min(((_like_the_submitted(run, dataset, shown), shown) for shown in ours), key=lambda pair: pair[0])
+    said = f"the least alike of them is {worst[0]:.1f} dB from its Gaussians drawn here (camera {worst[1].camera}, "
+    said += f"frame {worst[1].frame}; {ALIKE_DB:g} dB are asked for)"
+    return Finding(name, "checkpoint reproduces its pictures", "ok" if worst[0] >= ALIKE_DB else "refused", said)
+
+
+def _like_the_submitted(run: Run, dataset: Dataset, shown: Shown) -> float:
+    camera = dataset.cameras[shown.camera]
+    theirs = read_picture(picture_file(run.folder, camera.name, shown.frame), size=(camera.width, camera.height))
+    pair = shown.image, theirs[..., ::-1] / 255
+    flame = psnr(*pair, dataset.mask(shown.camera, shown.frame))  # the surroundings are easy; None without flame
+    return min(psnr(*pair), 99.0 if flame is None else flame, 99.0)
+
+
+def _unseen(run: Run, dataset: Dataset, gaussians: MovingGaussians, name: str) -> Finding:
+    """Held-out frames look worse than their neighbours, which the method learned from.
+
+    Every method fits what it saw better than what it did not see. Where the flame in held-out frames is as good as in
+    the frames before and after, the held-out ones were probably seen.
+    """
+    count = len(dataset.times_s)
+    held_out = [k for k in dataset.test_frames if 0 < k < count - 1]
+    frames = sorted({k + step for k in held_out for step in (-1, 0, 1)})
+    drawn = draw(gaussians, dataset, run.result, run.scores.import_.over_plates, frames)
+    found = {(s.camera, s.frame): _flame_psnr(dataset, s) for s in drawn}
+    gaps = [
+        (found[c, k - 1] + found[c, k + 1]) / 2 - found[c, k] for c in range(len(dataset.cameras)) for k in held_out
+    ]
+    gaps = [gap for gap in gaps if np.isfinite(gap)]
+    if len(gaps) < 2:
+        return Finding(name, "unseen frames", "hint", "too few held-out frames to compare with their neighbours")
+    gap = over_frames(gaps, 0)
+    worse = gap.mean > 0 and gap.p_value < 0.05
+    said = f"the flame in held-out frames is {gap.mean:.2f} ± {gap.half_width:.2f} dB worse than in their neighbours"
+    return Finding(name, "unseen frames", "ok" if worse else "hint", said if worse else f"{said}: were they seen?")
+
+
+def _flame_psnr(dataset: Dataset, shown: Shown) -> float:
+    """NaN without flame in the picture."""
+    truth, mask = dataset.image(shown.camera, shown.frame), dataset.mask(shown.camera, shown.frame)
+    found = psnr(shown.image, truth, mask)
+    return float("nan") if found is None else found
+
+
+def _scores(run: Run, again: Scores, name: str) -> Iterator[Finding]:
+    """Yield whether its scores are those that it states."""
+    if (dve := run.scores.dve) is not None and (dve.order, dve.opacity) != (ORDER, OPACITY):
+        said = (
+            f"scores.json has order {dve.order} and {dve.opacity} opacity; everybody is scored with {ORDER}, {OPACITY}"
+        )
+        yield Finding(name, "scored as everybody", "refused", said)
+    said, ours = _figures(run.scores), _figures(again)
+    off = [
+        f"{key} is {ours[key]:.4f}, its scores.json says {said[key]:.4f}"
+        if said.get(key) is not None
+        else f"{key} is {ours[key]:.4f}, its scores.json does not say"
+        for key in ours
+        if said.get(key) is None or abs(said[key] - ours[key]) > SAME * max(abs(ours[key]), 0.1)
+    ]
+    if off:
+        yield Finding(name, "scores reproduce", "refused", "; ".join(off))
+    else:
+        listed = ", ".join(f"{key} {value:.4f}" for key, value in ours.items())
+        yield Finding(name, "scores reproduce", "ok", listed)
+    for warning in again.warnings:
+        yield Finding(name, "warning", "hint", warning)
+
+
+def _figures(scores: Scores) -> dict[str, float]:
+    found = {} if scores.dve is None else {name: getattr(scores.dve, name) for name in FIGURES}
+    found |= {name: getattr(scores, name) for name in PICTURE_FIGURES}
+    return {name: value for name, value in found.items() if value is not None}

@@ -21,8 +21,8 @@ from gof.evaluate.scores import FIGURES, Scores
 from gof.evaluate.training_curve import TrainingCurve
 
 RANKED = ("l2", "cos_sim", "psnr_flame", "ssim_flame")  # figures that every frame has
-CONTROL = "control: "  # before a control's name
-CONTROLS = ("zero", "constant", "height_mean", "true_centre")
+TRIVIAL = "trivial: "  # before a trivial baseline's name
+SHOWN = ("zero", "constant", "height_mean", "true_centre")
 WITHOUT_STRUCTURE = ("zero", "constant", "height_mean")  # fluctuation: L2 1, CosSim 0, by definition
 UNIFORM = ("zero", "constant")  # vorticity: L2 1, and no divergence
 POINTS = 40  # of a training's curve, at most
@@ -50,7 +50,7 @@ class Figure:
     """One figure of a method.
 
     Attributes:
-        half_width: of its 95 % interval; None where nobody can say.
+        half_width: of its 95 % interval; None where it is not known.
         seed_sd: standard deviation over runs of one scene, mean over scenes; None with one run each.
         rank, last_rank: the best and the worst place that it may have, shared with methods that it cannot be told apart
             from; None for those that do not compete.
@@ -67,14 +67,16 @@ class Figure:
 
 @dataclass(frozen=True)
 class BoardRow:
-    """A method, or a control; `figures` by the names of `gof.evaluate.leaderboard.COLUMNS`.
+    """A method, or a trivial baseline; `figures` by the names of `gof.evaluate.leaderboard.COLUMNS`.
 
-    `over_plates`: it is a flame alone, drawn over fire-free plates; None for a control, and where runs differ.
-    `refused`: why the check refuses its submission; such a row competes with nobody.
-    `control`: it is no method.
+    `over_plates`: it is a flame alone, drawn over fire-free plates; None for a trivial baseline, and where runs differ.
+    `refused`: why the check refuses its submission; such a row is not ranked.
+    `trivial_baseline`: it is no method.
     `alarm`: that its velocities are better than an honest method's can be; people must judge it.
     `velocity`: whose was scored, the gas' or that of the Gaussians; "" where runs differ or none was.
     """
+
+    FORMER: ClassVar[dict[str, str]] = {"control": "trivial_baseline"}  # of 0.2; goes with the next version
 
     name: str
     what: str
@@ -86,15 +88,17 @@ class BoardRow:
     figures: dict[str, Figure]
     over_plates: bool | None = None
     refused: tuple[str, ...] = ()
-    control: bool = False
+    trivial_baseline: bool = False
     alarm: str = ""
     velocity: str = ""
 
 
 @dataclass(frozen=True)
 class BoardScene:
-    """One scene alone: `figures` by method, then by name; the training `curves` of methods that have one; `controls`
-    as `figures`, without ranks, on the Gaussians of `controls_on`."""
+    """One scene alone: `figures` by method, then by name; the training `curves` of methods that have one;
+    `trivial_baselines` as `figures`, without ranks, on the Gaussians of `trivial_baselines_on`."""
+
+    FORMER: ClassVar[dict[str, str]] = {"controls": "trivial_baselines", "controls_on": "trivial_baselines_on"}
 
     name: str
     split: str
@@ -103,8 +107,8 @@ class BoardScene:
     eddies: float
     figures: dict[str, dict[str, Figure]] = field(default_factory=dict)
     curves: dict[str, TrainingCurve] = field(default_factory=dict)
-    controls: dict[str, dict[str, Figure]] = field(default_factory=dict)
-    controls_on: str = ""
+    trivial_baselines: dict[str, dict[str, Figure]] = field(default_factory=dict)
+    trivial_baselines_on: str = ""
 
 
 @dataclass(frozen=True)
@@ -125,10 +129,10 @@ def board(
     scenes: Sequence[ScoredScene],
     refused: Mapping[str, Sequence[str]] | None = None,
 ) -> SuiteBoard:
-    """The board of some methods, by name, over scenes. A method without a result somewhere competes with nobody.
+    """Return the board of some methods, by name, over scenes. A method without a result somewhere is not ranked.
 
     Args:
-        refused: by the name of a method why its submission is refused; it is shown and competes with nobody. One whose
+        refused: by the name of a method why its submission is refused; it is shown and not ranked. One whose
             figures are beyond sense is refused here, and those figures are not shown: they would spoil every mean.
     """
     crosses = {name: tuple((refused or {}).get(name, ())) for name in methods}
@@ -151,12 +155,12 @@ def board(
     ]
     whose = _whose([*(name for name in methods if not crosses[name]), *(n for n in methods if crosses[n])], scenes)
     alone = tuple(_alone(scene, out, whose) for scene in scenes)
-    return SuiteBoard(title, (*rows, *_control_rows(whose, scenes)), alone)
+    return SuiteBoard(title, (*rows, *_trivial_rows(whose, scenes)), alone)
 
 
 def beyond_sense(scores: Scores) -> str:
-    """Which figure of a result no flame has, as velocities of 1e200 m/s make; "" where there is none."""
-    figures = {name: getattr(scores, name) for name in ("dve", "controls", "images", "published", *FIGURES)}
+    """Return which figure of a result no flame has, as velocities of 1e200 m/s make; "" where there is none."""
+    figures = {name: getattr(scores, name) for name in ("dve", "trivial_baselines", "images", "published", *FIGURES)}
     for name, number in _numbers(figures):
         if not abs(number) <= LARGEST:  # NaN too
             return f"{name} is {number:.3g}, beyond {LARGEST:g}: no flame is so far off"
@@ -164,7 +168,7 @@ def beyond_sense(scores: Scores) -> str:
 
 
 def _numbers(part: Any, name: str = "") -> Iterator[tuple[str, float]]:
-    """Every float in a tree of records, with the name that it has."""
+    """Yield every float in a tree of records, with the name that it has."""
     if isinstance(part, float):
         yield name, part
     elif is_dataclass(part):
@@ -206,7 +210,7 @@ def _row(
 
 def too_good(scores: Scores) -> str:
     """Why the velocities of a result look like the truth itself; "" where they do not."""
-    own, bound = scores.dve, scores.controls.get("true_centre")
+    own, bound = scores.dve, scores.trivial_baselines.get("true_centre")
     if own is None or own.l2 is None:
         return ""
     if own.l2 < TOO_GOOD:
@@ -217,8 +221,10 @@ def too_good(scores: Scores) -> str:
 
 
 def _velocity(scores: Sequence[Scores]) -> str:
-    """A result that says another velocity for the gas has that of its Gaussians as a control."""
-    said = {"the gas, as the result says it" if "light" in s.controls else "its Gaussians" for s in scores if s.dve}
+    """Return a result that says another velocity for the gas has that of its Gaussians as a trivial baseline."""
+    said = {
+        "the gas, as the result says it" if "light" in s.trivial_baselines else "its Gaussians" for s in scores if s.dve
+    }
     return said.pop() if len(said) == 1 else ""
 
 
@@ -228,7 +234,7 @@ def _over_plates(scores: Sequence[Scores]) -> bool | None:
 
 
 def _plain(value: Callable, name: str, scenes: Sequence[ScoredScene]) -> Figure | None:
-    """Mean over runs and scenes of what has a value for every run; None where one has none."""
+    """Return mean over runs and scenes of what has a value for every run; None where one has none."""
     found = [[value(run) for run in scene.runs[name]] for scene in scenes]
     if not found or any(number is None for runs in found for number in runs):
         return None
@@ -251,7 +257,7 @@ def _estimate(key: str, name: str, scenes: Sequence[ScoredScene]) -> tuple[Estim
 
 
 def frame_figures(scores: Scores, scene: ScoredScene, key: str) -> Series:
-    """A figure of every frame that has one; of pictures the mean over cameras."""
+    """Return a figure of every frame that has one; of pictures the mean over cameras."""
     if key in ("l2", "cos_sim"):
         frames = () if scores.dve is None else scores.dve.frames
         return {round(f.time_s, 9): getattr(f, key) for f in frames if not f.undefined}
@@ -263,7 +269,7 @@ def frame_figures(scores: Scores, scene: ScoredScene, key: str) -> Series:
 
 
 def _common(series: Sequence[Series]) -> list[Series]:
-    """The series at the times that all of them have."""
+    """Return the series at the times that all of them have."""
     times = sorted(set.intersection(*(set(one) for one in series)))
     return [{time_s: one[time_s] for time_s in times} for one in series]
 
@@ -277,7 +283,7 @@ def _eddy_frames(series: Series, scene: ScoredScene) -> float:
 
 
 def difference(key: str, first: str, second: str, scene: ScoredScene) -> Estimate | None:
-    """First less second, frame by frame, on the frames that both have; None where there are none."""
+    """Return first less second, frame by frame, on the frames that both have; None where there are none."""
     sides = [[frame_figures(run.scores, scene, key) for run in scene.runs[name]] for name in (first, second)]
     shared = _common([*sides[0], *sides[1]])
     if not shared[0]:
@@ -293,7 +299,7 @@ def difference(key: str, first: str, second: str, scene: ScoredScene) -> Estimat
 
 
 def placed(figure: Figure, place: Figure | None) -> Figure:
-    """The figure with the ranks and wins of `place`; None: it has none."""
+    """Return the figure with the ranks and wins of `place`; None: it has none."""
     return figure if place is None else replace(figure, rank=place.rank, last_rank=place.last_rank, wins=place.wins)
 
 
@@ -305,11 +311,11 @@ def _places(key: str, names: Sequence[str], scenes: Sequence[ScoredScene]) -> di
     if len(names) < 2 or not scenes:
         return {}
     means = [found[name].mean for name in names]
-    doubts = np.ones((len(names), len(names)))
+    p_values = np.ones((len(names), len(names)))
     for i, j in combinations(range(len(names)), 2):
         apart = [difference(key, names[i], names[j], scene) for scene in scenes]
-        doubts[i, j] = doubts[j, i] = 1.0 if None in apart else over_scenes(apart).doubt
-    order = ranks(means, doubts, sign)
+        p_values[i, j] = p_values[j, i] = 1.0 if None in apart else over_scenes(apart).p_value
+    order = ranks(means, p_values, sign)
     per_scene = np.array([[_estimate(key, name, [scene])[0].mean for name in names] for scene in scenes])
     wins = (per_scene == (sign * per_scene).max(1, keepdims=True) * sign).sum(0)
     return {
@@ -319,7 +325,8 @@ def _places(key: str, names: Sequence[str], scenes: Sequence[ScoredScene]) -> di
 
 
 def _alone(scene: ScoredScene, out: set[str], whose: dict[str, str]) -> BoardScene:
-    """The figures of every method in one scene, with ranks of that scene alone; those that are `out` have none."""
+    """Return the figures of every method in one scene, with ranks of that scene alone; those that are `out` have
+    none."""
     names = list(scene.runs)
     figures: dict[str, dict[str, Figure]] = {name: {} for name in names}
     for key in RANKED:
@@ -333,7 +340,7 @@ def _alone(scene: ScoredScene, out: set[str], whose: dict[str, str]) -> BoardSce
     eddy = scene.eddy_time
     eddies = clip_s / max(eddy.seconds, 1e-9)
     curves = {name: curve.thinned(POINTS) for name, curve in scene.curves.items()}
-    controls = {row.name: row.figures for row in _control_rows(whose, [scene])}
+    trivial_baselines = {row.name: row.figures for row in _trivial_rows(whose, [scene])}
     return BoardScene(
         scene.name,
         scene.split,
@@ -342,18 +349,20 @@ def _alone(scene: ScoredScene, out: set[str], whose: dict[str, str]) -> BoardSce
         eddies,
         figures,
         curves,
-        controls,
+        trivial_baselines,
         whose.get(scene.name, ""),
     )
 
 
-# ---------------------------------------------------------------- controls
+# ---------------------------------------------------------------- trivial baselines
 
 
 def _whose(methods: Sequence[str], scenes: Sequence[ScoredScene]) -> dict[str, str]:
-    """By scene the method whose Gaussians the controls have: a flame alone, if one is there, and one of every scene.
+    """By scene the method whose Gaussians the trivial baselines have: a flame alone, if one is there, and one of every
+    scene.
 
-    Of a whole scene most Gaussians are the room, where the true velocity is zero: a control there is that of a room.
+    Of a whole scene most Gaussians are the room, where the true velocity is zero: a trivial baseline there is that of a
+    room.
     """
 
     def last(name: str, scene: ScoredScene) -> tuple[bool, bool]:
@@ -367,20 +376,20 @@ def _whose(methods: Sequence[str], scenes: Sequence[ScoredScene]) -> dict[str, s
     return found
 
 
-def _control_rows(whose: dict[str, str], scenes: Sequence[ScoredScene]) -> list[BoardRow]:
-    """The permanent rows."""
+def _trivial_rows(whose: dict[str, str], scenes: Sequence[ScoredScene]) -> list[BoardRow]:
+    """Return the permanent rows."""
     if not scenes or any(scene.name not in whose for scene in scenes):
         return []
     runs = [scene.runs[whose[scene.name]][0] for scene in scenes]
     names = ", then ".join(dict.fromkeys(whose[scene.name] for scene in scenes))
-    rows = [_control_row(name, [run.scores for run in runs]) for name in CONTROLS]
+    rows = [_trivial_row(name, [run.scores for run in runs]) for name in SHOWN]
     plate = {f"{key}": f"{key}_plate" for key in ("psnr_flame", "ssim_flame", "psnr", "ssim")}
     rows.append(
         ("fire-free plate", "the picture without fire", {key: _mean(runs, of) for key, of in plate.items()}),
     )
     return [
         BoardRow(
-            name=f"{CONTROL}{name}",
+            name=f"{TRIVIAL}{name}",
             what=f"{meaning}, on the Gaussians of {names}",
             competes=False,
             scenes=len(scenes),
@@ -388,19 +397,19 @@ def _control_rows(whose: dict[str, str], scenes: Sequence[ScoredScene]) -> list[
             given=(),
             prior=None,
             figures={key: Figure(value) for key, value in found.items() if value is not None},
-            control=True,
+            trivial_baseline=True,
         )
         for name, meaning, found in rows
     ]
 
 
-def _control_row(name: str, scores: Sequence[Scores]) -> tuple[str, str, dict[str, float | None]]:
-    controls = [one.controls.get(name) for one in scores]
-    if any(control is None for control in controls):
+def _trivial_row(name: str, scores: Sequence[Scores]) -> tuple[str, str, dict[str, float | None]]:
+    trivial_baselines = [one.trivial_baselines.get(name) for one in scores]
+    if any(trivial_baseline is None for trivial_baseline in trivial_baselines):
         return name, "", {}
     found: dict[str, float | None] = {
-        "l2": _average([control.l2_frame_mean for control in controls]),
-        "cos_sim": _average([control.cos_sim_frame_mean for control in controls]),
+        "l2": _average([trivial_baseline.l2_frame_mean for trivial_baseline in trivial_baselines]),
+        "cos_sim": _average([trivial_baseline.cos_sim_frame_mean for trivial_baseline in trivial_baselines]),
     }
     if name in WITHOUT_STRUCTURE:
         found |= {"fluctuation_l2": 1.0, "fluctuation_cos": 0.0}
@@ -408,7 +417,7 @@ def _control_row(name: str, scores: Sequence[Scores]) -> tuple[str, str, dict[st
     if name in UNIFORM and all(gradients):
         found["vorticity_l2"] = 1.0
         found["divergence_l2"] = _average([errors.still_divergence_l2 for errors in gradients])
-    return name, controls[0].meaning, found
+    return name, trivial_baselines[0].meaning, found
 
 
 def _mean(runs: Sequence[EvaluatedResult], figure: str) -> float | None:

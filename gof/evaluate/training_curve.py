@@ -1,4 +1,4 @@
-"""How a training went: its loss over steps and processor seconds, and whether it had stopped falling."""
+"""How a training went: its loss over steps and CPU seconds, and whether it had stopped falling."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ import csv
 from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
+from typing import ClassVar
 
 import numpy as np
 
@@ -20,8 +21,10 @@ PART = 0.2  # of the steps: what the last of them are compared with the ones bef
 class TrainingCurve:
     """Point by point; `loss` is the mean of the steps since the point before, > 0."""
 
+    FORMER: ClassVar[dict[str, str]] = {"processor_seconds": "cpu_seconds"}  # of 0.2; goes with the next version
+
     step: tuple[int, ...]
-    processor_seconds: tuple[float, ...]
+    cpu_seconds: tuple[float, ...]
     loss: tuple[float, ...]
 
     @property
@@ -42,11 +45,11 @@ class TrainingCurve:
         ends = np.linspace(0, len(self.step), count + 1).round().astype(int)
         loss = [float(np.mean(self.loss[a:b])) for a, b in pairwise(ends)]
         at = ends[1:] - 1
-        return TrainingCurve(tuple(self.step[k] for k in at), tuple(self.processor_seconds[k] for k in at), tuple(loss))
+        return TrainingCurve(tuple(self.step[k] for k in at), tuple(self.cpu_seconds[k] for k in at), tuple(loss))
 
     @classmethod
     def read(cls, path: Path) -> TrainingCurve:
-        """Of a CSV with columns `step`, `processor_seconds` and `loss`; others are left aside.
+        """Read a CSV with columns `step`, `cpu_seconds` and `loss`; others are left aside.
 
         Raises:
             DataFormatError: not such a file, no point in it, steps or seconds that do not rise, a number that is not
@@ -54,9 +57,10 @@ class TrainingCurve:
         """
         try:
             with path.open(newline="", encoding="utf-8-sig") as file:
-                rows = [(int(r["step"]), float(r["processor_seconds"]), float(r["loss"])) for r in csv.DictReader(file)]
+                table = [{cls.FORMER.get(key, key): text for key, text in r.items()} for r in csv.DictReader(file)]
+            rows = [(int(r["step"]), float(r["cpu_seconds"]), float(r["loss"])) for r in table]
         except (OSError, UnicodeDecodeError, csv.Error, KeyError, TypeError, ValueError) as e:
-            raise DataFormatError(f"{path}: no training curve with columns step, processor_seconds, loss ({e})") from e
+            raise DataFormatError(f"{path}: no training curve with columns step, cpu_seconds, loss ({e})") from e
         if not rows:
             raise DataFormatError(f"{path}: holds no point; was the training stopped at once?")
         if not all(1 / LARGEST <= number <= LARGEST for row in rows for number in row):

@@ -85,7 +85,7 @@ def phase_spread(field: VelocityLike, position: np.ndarray, scale: np.ndarray, r
 def share_of_short_waves(
     field: VelocityLike, position: np.ndarray, scale: np.ndarray, rotation: np.ndarray, weight: np.ndarray
 ) -> float:
-    """Share of `weight` (M,) in Gaussians with a phase spread above LIMIT_RAD, 0..1.
+    """Return share of `weight` (M,) in Gaussians with a phase spread above LIMIT_RAD, 0..1.
 
     Of more than SAMPLE Gaussians a stratified random sample by weight is looked at, seeded.
     """

@@ -1,4 +1,4 @@
-"""What a video file says of itself and OpenCV does not tell: its video tracks, and whether frames are two fields."""
+"""The part of a video file's header that OpenCV does not tell: its video tracks, and whether frames are two fields."""
 
 from __future__ import annotations
 
@@ -6,8 +6,7 @@ import struct
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
-
-from gof.footage.mp4 import boxes, inside, read_header
+from typing import BinaryIO
 
 MOST_READ = 1 << 20  # bytes at the beginning of an AVI or Matroska file in which its tracks are listed
 FROM_1904_TO_1970 = 2_082_844_800  # s; MP4 counts from 1904
@@ -42,7 +41,8 @@ class VideoTrack:
 
 
 def video_tracks(path: Path) -> list[VideoTrack]:
-    """The video tracks of an MP4, MOV, Matroska, WebM or AVI file in their order; none for others and damaged ones."""
+    """Return the video tracks of an MP4, MOV, Matroska, WebM or AVI file in their order; none for others and damaged
+    ones."""
     try:
         with path.open("rb") as file:
             start = file.read(12)
@@ -57,7 +57,7 @@ def video_tracks(path: Path) -> list[VideoTrack]:
 
 
 def film_track(tracks: list[VideoTrack]) -> int | None:
-    """The place of the film among video tracks; None where several may be it."""
+    """Return the place of the film among video tracks; None where several may be it."""
     films = [k for k, track in enumerate(tracks) if not track.is_picture] or list(range(len(tracks)))
     if any(tracks[k].usual for k in films):
         films = [k for k in films if tracks[k].usual]
@@ -127,7 +127,7 @@ def _tracks_of_matroska(data: bytes) -> Iterator[VideoTrack]:
 
 
 def _elements(data: bytes, start: int, end: int, wanted: int) -> Iterator[tuple[int, int]]:
-    """First byte and end of each EBML element of this identity, between two places."""
+    """Yield first byte and end of each EBML element of this identity, between two places."""
     while start < end:
         identity, at = _variable(data, start, marked=True)
         size, at = _variable(data, at)
@@ -138,7 +138,7 @@ def _elements(data: bytes, start: int, end: int, wanted: int) -> Iterator[tuple[
 
 
 def _variable(data: bytes, at: int, marked: bool = False) -> tuple[int | None, int]:
-    """An EBML number and the place behind it; None for a size that is not known."""
+    """Return an EBML number and the place behind it; None for a size that is not known."""
     length = 9 - data[at].bit_length()
     if length > 8 or at + length > len(data):
         raise ValueError("no EBML number")
@@ -158,7 +158,7 @@ def _number_in(data: bytes, place: tuple[int, int], wanted: int, default: int) -
 
 
 def codes_fields(codec: bytes, description: bytes) -> bool:
-    """Whether a codec's description of its stream allows frames of two fields: H.264, MPEG-2 and DV say so.
+    """Return whether a codec's description of its stream allows frames of two fields: H.264, MPEG-2 and DV say so.
 
     Args:
         codec: FFmpeg's four letters.   description: what the container hands to the decoder ("extradata").
@@ -224,3 +224,52 @@ class _Bits:
         zeros = self._bits.index("1", self._at) - self._at
         self._at += zeros
         return self.read(zeros + 1) - 1
+
+
+# ----------------------------------------------------------------
+# MP4 and MOV files: the boxes of their table of contents (ISO/IEC 14496-12).
+
+MOST_HEADER = 1 << 28  # bytes of a file's table of contents; hours of footage have some 10 MB
+
+
+def read_header(file: BinaryIO) -> bytes:
+    """Return what the file's `moov` box holds; empty where there is none, as in a file that is no MP4.
+
+    Raises:
+        ValueError: it claims more than `MOST_HEADER` bytes.
+    """
+    while len(start := file.read(16)) >= 8:
+        size, kind = struct.unpack(">I4s", start[:8])
+        head = 8
+        if size == 1 and len(start) == 16:
+            size, head = struct.unpack(">Q", start[8:])[0], 16
+        if kind == b"moov":
+            if not head <= size <= MOST_HEADER:
+                raise ValueError(f"its table of contents claims {size} bytes")
+            file.seek(head - len(start), 1)
+            return file.read(size - head)
+        if size < head:
+            return b""
+        file.seek(size - len(start), 1)
+    return b""
+
+
+def boxes(data: bytes, start: int, end: int, wanted: bytes) -> Iterator[tuple[int, int]]:
+    """Yield first byte and end of what each box of this type holds, between two places."""
+    while start + 8 <= end:
+        size, kind = struct.unpack_from(">I4s", data, start)
+        if not 8 <= size <= end - start:
+            return
+        if kind == wanted:
+            yield start + 8, start + size
+        start += size
+
+
+def inside(data: bytes, start: int, end: int, *path: bytes) -> tuple[int, int] | None:
+    """Return first byte and end of what the first box at this path holds; None where there is none."""
+    for kind in path:
+        box = next(boxes(data, start, end, kind), None)
+        if box is None:
+            return None
+        start, end = box
+    return start, end

@@ -11,7 +11,7 @@ WEAK, STRONG = 0.15, 0.35  # display values: more than a fire throws on its surr
 def flame_mask(
     image: np.ndarray, static: np.ndarray, weak: float = WEAK, strong: float = STRONG, grow_px: int = 2
 ) -> np.ndarray:
-    """(H, W) bool: where flame may be, closed and grown by `grow_px`.
+    """Return (H, W) bool: where flame may be, closed and grown by `grow_px`.
 
     Flame raises red most, and so does the light it throws on its surroundings, only less. Hence hysteresis: regions
     whose rise in red, and in red over blue, is above `weak` everywhere and above `strong` somewhere. An overexposed
@@ -31,7 +31,7 @@ def flame_mask(
 
 
 def above_plate(image: np.ndarray, static: np.ndarray) -> np.ndarray:
-    """(..., H, W): how far red, and red over blue, rise above the plate: the smaller of the two, display values.
+    """Return (..., H, W): how far red, and red over blue, rise above the plate: the smaller of the two, display values.
 
     0 where green rises more than red, as it does where leaves sway and never where something glows.
     """

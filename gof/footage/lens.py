@@ -49,7 +49,7 @@ class Lens:
         return cls(width, height, np.array([[focal, 0, width / 2], [0, focal, height / 2], [0, 0, 1]]))
 
     def turned(self, turn: Turn) -> Lens:
-        """The pinhole that remains after undistorting and turning the pictures."""
+        """Return the pinhole that remains after undistorting and turning the pictures."""
         (fx, _, cx), (_, fy, cy) = self.K[:2]
         if turn == "none":
             return Lens(self.width, self.height, self.K)
@@ -110,7 +110,7 @@ class CamerasFile:
 
 
 def read_cameras(path: Path, videos: Sequence[Path]) -> list[CalibratedCamera]:
-    """The camera of each video by a cameras.json. A file by hand may leave out schema and version.
+    """Return the camera of each video by a cameras.json. A file by hand may leave out schema and version.
 
     Raises:
         DataFormatError: absent, not JSON, a missing or malformed field, another number of cameras, or names that say
@@ -140,7 +140,7 @@ def prepare(picture: np.ndarray, lens: Lens, turn: Turn) -> np.ndarray:
 
 
 def preparation(lens: Lens, turn: Turn) -> Callable[[np.ndarray], np.ndarray]:
-    """What `prepare` does, for many pictures: the undistortion's maps are made once."""
+    """Return what `prepare` does, for many pictures: the undistortion's maps are made once."""
     if not lens.distortion.any():
         return partial(turned, turn=turn)
     return straightening(lens.K, lens.distortion, lens, turn, half_pixel=0.5)
@@ -149,7 +149,7 @@ def preparation(lens: Lens, turn: Turn) -> Callable[[np.ndarray], np.ndarray]:
 def straightening(
     K: np.ndarray, distortion: np.ndarray, straight: Lens, turn: Turn, half_pixel: float = 0.0
 ) -> Callable[[np.ndarray], np.ndarray]:
-    """A function that makes a bent picture straight and upright.
+    """Return a function that makes a bent picture straight and upright.
 
     Args:
         K, distortion: of the bent picture.   straight: lens of the straight one, same size.
@@ -166,7 +166,7 @@ def straightening(
 
 
 def turned(picture: np.ndarray, turn: Turn) -> np.ndarray:
-    """The picture (H, W[, 3]) turned upright."""
+    """Return the picture (H, W[, 3]) turned upright."""
     import cv2
 
     if turn == "none":

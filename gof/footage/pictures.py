@@ -1,4 +1,4 @@
-"""Picture files. Nobody vouches for those that are read: their header is looked at before memory is taken for them."""
+"""Picture files. Those that are read are not trusted: their header is checked before memory is taken for them."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ MOST_PIXELS = 2**28  # 16384 x 16384, where nothing else is known
 def read_picture(
     path: Path, size: tuple[int, int] | None = None, most: int = MOST_PIXELS, unchanged: bool = False, remedy: str = ""
 ) -> np.ndarray:
-    """A picture as it is stored, whatever its orientation tag says (but for TIFF files, which OpenCV turns).
+    """Return a picture as it is stored, whatever its orientation tag says (but for TIFF files, which OpenCV turns).
 
     (H, W, 3) uint8 BGR; `unchanged`: its own channels and depth.
 

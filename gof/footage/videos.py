@@ -28,14 +28,14 @@ UNREAD = frozenset(
     ".arw .raf .orf .rw2 .pef .srw".split()
 )  # pictures that are not read from a folder
 DEEP_FORMATS = (b"Y1", b"Y3", b"Y4", b"G3", b"G4")  # FFmpeg's tags of deep pixels; their fourth byte is the bits
-ENDS = 1 << 20  # bytes at either end of a file by which it is told from others
+ENDS = 1 << 20  # bytes at either end of a file that identify it
 LOOKED_AT = 8  # pairs of frames that are looked at for combs
 CUT_FRAMES, CUT_SHARE = 2, 0.01  # a file breaks off when more frames than both are missing at its end
 
 
 @dataclass(frozen=True)
 class VideoInfo:
-    """What a video's container says of it, and what reading it to its end found.
+    """A video's container in figures, and what reading it to its end found.
 
     Attributes:
         path: the video, or a folder of pictures.
@@ -95,7 +95,7 @@ class VideoInfo:
 
 
 def stored_frames(path: Path, in_time: bool = True) -> Iterator[np.ndarray]:
-    """Frames as (H, W, 3) uint8 RGB, as stored, in file (video) or number (folder) order.
+    """Yield frames as (H, W, 3) uint8 RGB, as stored, in file (video) or number (folder) order.
 
     Args:
         in_time: a folder's pictures are one sequence; False: any pictures, in any order.
@@ -122,7 +122,7 @@ def stored_frames(path: Path, in_time: bool = True) -> Iterator[np.ndarray]:
 
 
 def chosen_frames(path: Path, numbers: Iterable[int]) -> Iterator[np.ndarray]:
-    """The stored frames of these numbers, which increase, one at a time; as `stored_frames`.
+    """Yield the stored frames of these numbers, which increase, one at a time; as `stored_frames`.
 
     Raises:
         DataFormatError: as `stored_frames`; the footage ends before the last number.
@@ -146,14 +146,15 @@ def chosen_frames(path: Path, numbers: Iterable[int]) -> Iterator[np.ndarray]:
 
 
 def _require_length(path: Path, numbers: list[int], read: int, number: int | None = None) -> None:
-    """Raises DataFormatError: fewer frames were read than the one asked for (by default the last) needs."""
+    """Raise DataFormatError: fewer frames were read than the one asked for (by default the last) needs."""
     if numbers and read <= (numbers[-1] if number is None else number):
         raise DataFormatError(f"{path}: has {read} frames, {numbers[-1] + 1} are asked for")
 
 
 @contextmanager
 def _opened(path: Path):
-    """The video, giving pictures as stored whatever the rotation tag: OpenCV's versions differ in what they do."""
+    """Return the video, giving pictures as stored whatever the rotation tag: OpenCV's versions differ in what they
+    do."""
     import cv2
 
     if not path.is_file():
@@ -168,7 +169,7 @@ def _opened(path: Path):
 
 
 def _require_the_film_first(path: Path) -> None:
-    """Raises DataFormatError: OpenCV would read another track than the film."""
+    """Raise DataFormatError: OpenCV would read another track than the film."""
     tracks = video_tracks(path)
     film = film_track(tracks)
     if len(tracks) > 1 and film != 0:
@@ -202,7 +203,7 @@ def _unreadable(path: Path) -> DataFormatError:
 
 
 def picture_files(folder: Path) -> list[Path]:
-    """The pictures of a folder as one sequence, in the order of their frames' numbers.
+    """Return the pictures of a folder as one sequence, in the order of their frames' numbers.
 
     Raises:
         DataFormatError: there is none; they are not one sequence (see `number_files`); a frame of it is in a format
@@ -227,7 +228,7 @@ def numbered_pictures(folder: Path) -> list[tuple[int, Path]]:
 
 
 def loose_pictures(folder: Path) -> list[Path]:
-    """The pictures of a folder in the order of their names, which need not be a sequence.
+    """Return the pictures of a folder in the order of their names, which need not be a sequence.
 
     Raises:
         DataFormatError: there is none; a picture is in a format that is not read, and in no other one beside it.
@@ -274,7 +275,7 @@ def fingerprint(path: Path) -> str:
 
 
 def require_different(paths: Iterable[Path]) -> None:
-    """Raises DataFormatError: one of these is not there or is a single picture; or the same footage is given twice,
+    """Raise DataFormatError: one of these is not there or is a single picture; or the same footage is given twice,
     perhaps as a copy."""
     known: dict[str, Path] = {}
     for path in paths:
@@ -290,11 +291,11 @@ def require_different(paths: Iterable[Path]) -> None:
         known[contents] = path
 
 
-# ---- what is said of it ----------------------------------------------------------------------------------------------
+# ---- its own statements --------------------------------------------------------------------------------------------
 
 
 def stated_info(path: Path) -> VideoInfo:
-    """What the container states, without reading more than one frame.
+    """Return what the container states, without reading more than one frame.
 
     Raises:
         DataFormatError: not a readable video, an empty folder, a broken picture.
@@ -339,7 +340,8 @@ def stated_info(path: Path) -> VideoInfo:
 
 
 def _rotation(files: list[Path]) -> int:
-    """Of a folder's pictures, by their orientation tags. Raises DataFormatError: they differ; see `read_rotation`."""
+    """Return that of a folder's pictures, by their orientation tags. Raises DataFormatError: they differ; see
+    `read_rotation`."""
     first = read_rotation(files[0])
     for file in files[1:]:
         if (other := read_rotation(file)) != first:
@@ -351,7 +353,7 @@ def _rotation(files: list[Path]) -> int:
 
 
 def _description(path: Path) -> bytes:
-    """What the container hands to the video's decoder; empty where OpenCV does not tell."""
+    """Return what the container hands to the video's decoder; empty where OpenCV does not tell."""
     import cv2
 
     video = cv2.VideoCapture(str(path), cv2.CAP_FFMPEG, [cv2.CAP_PROP_FORMAT, -1])
@@ -375,7 +377,7 @@ def _bits(pixel_format: float | None) -> int | None:
 
 
 def read_info(path: Path, progress: Callable[[int, int], None] | None = None) -> VideoInfo:
-    """What the container states, and the stamps of all frames that can really be read (containers lie).
+    """Return what the container states, and the stamps of all frames that can really be read (containers lie).
 
     Args:
         progress: called with frames read and stated.
@@ -416,7 +418,8 @@ def read_info(path: Path, progress: Callable[[int, int], None] | None = None) ->
 
 
 def stated_frames(path: Path) -> int | None:
-    """How many frames a folder holds or a video's container states (for progress bars); None when it states none."""
+    """Return how many frames a folder holds or a video's container states (for progress bars); None when it states
+    none."""
     return len(loose_pictures(path)) if Path(path).is_dir() else stated_info(path).stated_frames
 
 
@@ -426,7 +429,7 @@ def stated_fps(path: Path) -> float | None:
 
 
 def distinct_names(paths: list[Path]) -> list[str]:
-    """A name per footage: the stem, or parent and stem where stems repeat."""
+    """Return a name per footage: the stem, or parent and stem where stems repeat."""
     stems = [p.stem for p in paths]
     names = [s if stems.count(s) == 1 else f"{p.parent.name}_{s}" for s, p in zip(stems, paths, strict=True)]
     return [n if names.count(n) == 1 else f"{n}_{i}" for i, n in enumerate(names)]

@@ -1,4 +1,4 @@
-"""What this machine has, what each part is for, and how to get what is missing.
+"""The parts of this machine's installation, the use of each, and how to get a missing one.
 
 A package adds checks of its own by an entry point of the group `gof.host.checks` that names a table like `CHECKS`.
 """
@@ -20,7 +20,6 @@ from typing import Literal
 
 from gof import __version__
 from gof.host import extras
-from gof.host.machine import cpu_features, machine
 from gof.host.processes import python_command, run
 
 Status = Literal["ok", "missing", "broken"]
@@ -70,7 +69,7 @@ class Check:
 
 @dataclass(frozen=True)
 class Finding:
-    """What a check found."""
+    """The result of a check."""
 
     name: str
     purpose: str
@@ -84,13 +83,13 @@ def check_python() -> Outcome:
 
 def check_system() -> Outcome:
     here, libc = machine(), " ".join(platform.libc_ver())
-    cpu = f"{here['processor']} ({' '.join(cpu_features()) or 'features unknown'}), {here['cores']} cores"
+    cpu = f"{here['CPU']} ({' '.join(cpu_features()) or 'features unknown'}), {here['cores']} cores"
     variables = [f"{name}={os.environ[name]}" for name in VARIABLES if name in os.environ]
     return "ok", ", ".join([here["system"], *filter(None, [libc]), cpu, here["memory"], *variables])
 
 
 def check_packages() -> Outcome:
-    """Versions of what scoring, importing, rendering and reconstructing need; numpy 2 breaks bpy."""
+    """Return versions of what scoring, importing, rendering and reconstructing need; numpy 2 breaks bpy."""
     found, missing = {}, []
     for name in PACKAGES:
         try:
@@ -105,7 +104,7 @@ def check_packages() -> Outcome:
 
 
 def check_extras() -> Outcome:
-    """Which extras are whole; of those begun, what they lack."""
+    """Return which extras are whole; of those begun, what they lack."""
     lacks = extras.missing()
     there = ", ".join(name for name, missing in lacks.items() if not missing) or "none"
     absent = "; ".join(f"{name} lacks {', '.join(missing)}" for name, missing in lacks.items() if missing)
@@ -156,7 +155,7 @@ def check_drjit() -> Outcome:
 
 
 def check_kernels() -> Outcome:
-    """Which kernels draw, why these, and where the compiled ones are kept."""
+    """Return which kernels draw, why these, and where the compiled ones are kept."""
     code = (
         "from gof.render.backend import kernels; chosen, kept = kernels(), ''\n"
         "if chosen.name == 'native':\n"
@@ -212,7 +211,7 @@ CHECKS = (
 
 
 def checks() -> list[Check]:
-    """Those of `gof` and of every installed package that adds some."""
+    """Return those of `gof` and of every installed package that adds some."""
     added = [check for table in entry_points(group="gof.checks") for check in table.load()]
     return sorted([*CHECKS, *added], key=lambda check: check.place)
 
@@ -236,12 +235,63 @@ def child(*words: str) -> subprocess.CompletedProcess:
 
 
 def named_error(text: str) -> str | None:
-    """What a `GofError` that ended a child has said."""
+    """Return what a `GofError` that ended a child has said."""
     found = re.match(r"gof\.core\.errors\.\w+: (.*)", last_line(text))
     return found and found[1]
 
 
 def last_line(text: str) -> str:
-    """The last line that says something."""
+    """Return the last line that says something."""
     lines = [line.strip() for line in text.strip().splitlines() if line.strip()]
     return lines[-1] if lines else "no message"
+
+
+# ----------------------------------------------------------------
+# Versions and the machine, for a page that says where its figures come from and for a bug report. No names, paths or
+# addresses.
+
+STATED = ("numpy", "scipy", "opencv-contrib-python-headless", "drjit", "mitsuba", "OpenEXR", "torch", "bpy")
+FEATURES = ("sse4_2", "avx", "avx2", "fma", "avx512f", "amx_tile", "neon", "asimd", "sve")  # that kernels are made for
+
+
+def machine() -> dict[str, str]:
+    """CPU, cores, memory, operating system."""
+    import psutil
+
+    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count()
+    return {
+        "CPU": _processor(),
+        "cores": str(cores),
+        "memory": f"{psutil.virtual_memory().total / 2**30:.1f} GiB",
+        "system": f"{platform.system()} {platform.release().split('-')[0]} ({platform.machine()})",
+    }
+
+
+def versions() -> dict[str, str]:
+    """Return versions of Python, this package and what the figures depend on; absent packages are left out."""
+    from gof import __version__
+
+    found = {"gof": __version__, "Python": platform.python_version()}
+    for name in STATED:
+        try:
+            found[name] = importlib.metadata.version(name)
+        except importlib.metadata.PackageNotFoundError:
+            continue
+    return found
+
+
+def cpu_features() -> list[str]:
+    """Return which of `FEATURES` the CPU has, where Linux says so."""
+    flags = set(_cpuinfo("flags").split()) | set(_cpuinfo("Features").split())
+    return [name for name in FEATURES if name in flags]
+
+
+def _processor() -> str:
+    return _cpuinfo("model name") or platform.processor() or "unknown"
+
+
+def _cpuinfo(key: str) -> str:
+    """Return the first line of that name in Linux' description of the CPU; "" elsewhere."""
+    path = Path("/proc/cpuinfo")
+    lines = path.read_text(encoding="utf-8", errors="replace").splitlines() if path.exists() else []
+    return next((line.split(":", 1)[1].strip() for line in lines if line.split(":")[0].strip() == key), "")

@@ -1,4 +1,4 @@
-"""What numbers of a command line may be. One function says no, in one form, before any work."""
+"""Ranges of the numbers of a command line. One function refuses, in one form, before any work."""
 
 from __future__ import annotations
 
@@ -27,11 +27,11 @@ def require_number(
 
 
 def require_positive(flag: str, value: float | None) -> None:
-    """A finite number above 0, where it is given. Raises GofError."""
+    """Require a finite number above 0, where it is given. Raises GofError."""
     require_number(flag, value, above=0)
 
 
 def require_all_positive(flag: str, values: Iterable[float] | None) -> None:
-    """Each of them, where they are given. Raises GofError."""
+    """Require each of them to be above 0, where they are given. Raises GofError."""
     for value in values or ():
         require_positive(flag, value)

@@ -14,7 +14,7 @@ RUN_MODULE = "import runpy; runpy.run_module({0!r}, run_name='__main__', alter_s
 
 
 def python_command(option: str, program: str, *arguments: str) -> list[str]:
-    """The command of this Python with a module (`-m NAME`) or with code (`-c CODE`).
+    """Return the command of this Python with a module (`-m NAME`) or with code (`-c CODE`).
 
     Python itself would look for modules in the current folder first, and that is where a user's data are: a file
     `random.py` that came with a data set would be run (CWE-426).
@@ -60,7 +60,8 @@ def end(child: subprocess.Popen) -> None:
 
 
 def _die_with(parent: int):
-    """What a child does before its program begins: ask the kernel for its death, unless the parent is dead already."""
+    """Return what a child does before its program begins: ask the kernel for its death, unless the parent is dead
+    already."""
     library = ctypes.CDLL(None)  # loaded before the fork; after it only calls are safe
 
     def hook() -> None:

@@ -13,7 +13,7 @@ from typing import Any
 from gof.core.costs import StageCost
 from gof.core.errors import GofError
 from gof.host.processes import end, start
-from gof.host.progress import WORKER_VARIABLE, progress_bar
+from gof.host.terminal import WORKER_VARIABLE, progress_bar
 
 
 def run_worker(argv: list[str], title: str, log: Path | None = None) -> StageCost:
@@ -69,7 +69,7 @@ def run_worker(argv: list[str], title: str, log: Path | None = None) -> StageCos
 
 
 def _progress_of(line: str) -> dict[str, Any] | None:
-    """What a progress line says; None for any other line."""
+    """Return what a progress line says; None for any other line."""
     if not line.startswith('{"progress"'):
         return None
     try:

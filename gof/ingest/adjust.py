@@ -25,7 +25,7 @@ Track = dict[int, np.ndarray]  # camera -> (2,) px
 
 
 def triangulate(matrices: np.ndarray, pixels: np.ndarray) -> np.ndarray:
-    """(3,) point from (V, 3, 4) projection matrices and (V, 2) pixels, linear; NaN for parallel rays."""
+    """Return (3,) point from (V, 3, 4) projection matrices and (V, 2) pixels, linear; NaN for parallel rays."""
     rows = np.concatenate(
         [pixels[:, :1] * matrices[:, 2] - matrices[:, 0], pixels[:, 1:] * matrices[:, 2] - matrices[:, 1]]
     )
@@ -67,7 +67,7 @@ def _refined(board: int, poses: np.ndarray, points: list[MarkedPoint], features:
 
 
 def _starts(points: list[MarkedPoint], lenses: list[Lens], names: list[str]) -> list[tuple[int, np.ndarray]]:
-    """Each board's number, and the combinations (C, 4, 4) of poses in its axes that fit its points."""
+    """Return each board's number, and the combinations (C, 4, 4) of poses in its axes that fit its points."""
     starts, problem = [], None
     for board in sorted({p.board for p in points}):
         own = [p for p in points if p.board == board]
@@ -83,7 +83,7 @@ def _starts(points: list[MarkedPoint], lenses: list[Lens], names: list[str]) -> 
 
 
 def _pnp(camera: int, points: list[MarkedPoint], lens: Lens, name: str) -> list[np.ndarray]:
-    """The (4, 4) poses of one camera that fit its points with xyz: two when they lie in a plane."""
+    """Return the (4, 4) poses of one camera that fit its points with xyz: two when they lie in a plane."""
     import cv2
 
     seen = [p for p in points if camera in p.pixels and p.xyz is not None]
@@ -117,7 +117,7 @@ def _pnp(camera: int, points: list[MarkedPoint], lens: Lens, name: str) -> list[
 
 
 def _agreement(features: Features, lenses: list[Lens], poses: np.ndarray) -> float:
-    """How well raw matches fit: mean of exp(-error / AGREEMENT_PX), 0 without matches."""
+    """Return how well raw matches fit: mean of exp(-error / AGREEMENT_PX), 0 without matches."""
     fits = [
         np.exp(-epipolar_distance(lenses, poses, i, j, *features.pair(i, j)) / AGREEMENT_PX)
         for (i, j), m in features.matches.items()
@@ -127,7 +127,7 @@ def _agreement(features: Features, lenses: list[Lens], poses: np.ndarray) -> flo
 
 
 def tracks(features: Features, lenses: list[Lens], poses: np.ndarray, gate: float) -> list[Track]:
-    """Matches within `gate` px of their epipolar lines, joined over views; at most MAX_TRACKS, those in most views."""
+    """Return matches within `gate` px of their epipolar lines, joined over views; at most MAX_TRACKS, by views."""
     track_of: dict[tuple[int, int], int] = {}  # (camera, keypoint) -> number of its track
     chains: list[Track] = []
     for (i, j), m in features.matches.items():
@@ -182,7 +182,7 @@ def bundle(poses: np.ndarray, lenses: list[Lens], points: list[MarkedPoint], cha
 
 
 def _bodies(poses: np.ndarray, lenses: list[Lens], points: list[MarkedPoint]) -> tuple[list[int], np.ndarray]:
-    """Numbers of the boards that can be held to, and where they are: (B, 4, 4) board to world.
+    """Return numbers of the boards that can be held to, and where they are: (B, 4, 4) board to world.
 
     One board alone is the world itself; of several each must be triangulated from three of its known points.
     """
@@ -201,12 +201,12 @@ def _bodies(poses: np.ndarray, lenses: list[Lens], points: list[MarkedPoint]) ->
 
 
 def _meeting(matrices: np.ndarray, pixels: dict[int, np.ndarray]) -> np.ndarray:
-    """(3,) where the rays through a point's pixels meet; NaN where they do not."""
+    """Return (3,) where the rays through a point's pixels meet; NaN where they do not."""
     return triangulate(matrices[list(pixels)], np.array(list(pixels.values())))
 
 
 def _rigid(source: np.ndarray, target: np.ndarray) -> np.ndarray:
-    """(4, 4) rotation and shift that bring points (N, 3) nearest to others (Kabsch)."""
+    """Return (4, 4) rotation and shift that bring points (N, 3) nearest to others (Kabsch)."""
     middle, to = source.mean(0), target.mean(0)
     motion = np.eye(4)
     motion[:3, :3] = Rotation.align_vectors(target - to, source - middle)[0].as_matrix()
@@ -215,7 +215,7 @@ def _rigid(source: np.ndarray, target: np.ndarray) -> np.ndarray:
 
 
 def _triangulated(poses: np.ndarray, lenses: list[Lens], free: list[Track]) -> tuple[list[Track], np.ndarray]:
-    """The tracks whose point lies in front of all its cameras, and the points (N, 3)."""
+    """Return the tracks whose point lies in front of all its cameras, and the points (N, 3)."""
     matrices = _projection_matrices(lenses, poses)
     kept, points = [], []
     for track in free:
@@ -228,18 +228,18 @@ def _triangulated(poses: np.ndarray, lenses: list[Lens], free: list[Track]) -> t
 
 
 def triangulated(poses: np.ndarray, lenses: list[Lens], chains: list[Track]) -> np.ndarray:
-    """(N, 3) points of tracks, those that lie in front of their cameras."""
+    """Return (N, 3) points of tracks, those that lie in front of their cameras."""
     return _triangulated(poses, lenses, chains)[1]
 
 
 def meetings(poses: np.ndarray, lenses: list[Lens], points: list[MarkedPoint]) -> np.ndarray:
-    """(N, 3) where marked points, each seen twice, are; NaN where their rays do not meet."""
+    """Return (N, 3) where marked points, each seen twice, are; NaN where their rays do not meet."""
     matrices = _projection_matrices(lenses, poses)
     return np.array([_meeting(matrices, p.pixels) for p in points]).reshape(-1, 3)
 
 
 def _projection_matrices(lenses: list[Lens], poses: np.ndarray) -> np.ndarray:
-    """(C, 3, 4) world to homogeneous pixels."""
+    """Return (C, 3, 4) world to homogeneous pixels."""
     return np.stack([lens.K @ pose[:3] for lens, pose in zip(lenses, poses, strict=True)])
 
 
@@ -271,7 +271,7 @@ def check_points(points: list[MarkedPoint], lenses: list[Lens], poses: np.ndarra
 
 
 def _misses(matrices: np.ndarray, pixels: dict[int, np.ndarray], summary: Callable = np.max) -> float:
-    """Largest (or mean) distance in px of a point's pixels from where its rays meet; inf where they do not."""
+    """Return largest (or mean) distance in px of a point's pixels from where its rays meet; inf where they do not."""
     x = _meeting(matrices, pixels)
     if not np.isfinite(x).all():
         return np.inf
@@ -282,7 +282,7 @@ def _misses(matrices: np.ndarray, pixels: dict[int, np.ndarray], summary: Callab
 
 
 def _ratios(known: np.ndarray, found: np.ndarray) -> np.ndarray:
-    """True distances over found ones, of all pairs of points (N, 3) that are apart."""
+    """Return True distances over found ones, of all pairs of points (N, 3) that are apart."""
     if len(known) < 2:
         return np.zeros(0)
     pairs = np.triu_indices(len(known), 1)
@@ -293,7 +293,7 @@ def _ratios(known: np.ndarray, found: np.ndarray) -> np.ndarray:
 
 
 def _unit(ratios: np.ndarray) -> tuple[float | None, float | None]:
-    """Metres per unit of the poses, and its relative spread; None when no distance is known."""
+    """Return metres per unit of the poses, and its relative spread; None when no distance is known."""
     if not len(ratios):
         return None, None
     ratio = float(np.median(ratios))

@@ -22,7 +22,7 @@ TURN_OF_TAG: dict[int, Turn] = {0: "none", 90: "clockwise", 180: "half", 270: "c
 
 
 def turn_by_tags(videos: list[VideoInfo], asked: Turn | Literal["auto"]) -> Turn:
-    """How to turn the stored pictures upright: as asked, or as the files' rotation tags say ("auto").
+    """Return how to turn the stored pictures upright: as asked, or as the files' rotation tags say ("auto").
 
     Raises:
         GofError: the tags differ and nothing else is asked.
@@ -41,7 +41,7 @@ def turn_by_tags(videos: list[VideoInfo], asked: Turn | Literal["auto"]) -> Turn
 
 
 def require_square_pixels(videos: list[VideoInfo]) -> None:
-    """Raises DataFormatError: a file's pixels are not square, so that one field of view does not say the lens."""
+    """Raise DataFormatError: a file's pixels are not square, so that one field of view does not say the lens."""
     for video in videos:
         if abs(video.pixel_aspect - 1) > SQUARE:
             path = video.path
@@ -57,7 +57,7 @@ PART = re.compile(r"(?:G[HXLS]([0-9]{2})|(GOPR)|GP([0-9]{2}))([0-9]{4})", re.I) 
 
 
 def part_of(path: Path) -> tuple[str, int] | None:
-    """Which film a GoPro's file belongs to, and which part of it it is, from 1 on; None for other names."""
+    """Return which film a GoPro's file belongs to, and which part of it it is, from 1 on; None for other names."""
     found = PART.fullmatch(path.stem)
     if found is None:
         return None
@@ -66,7 +66,7 @@ def part_of(path: Path) -> tuple[str, int] | None:
 
 
 def require_one_film_each(paths: list[Path]) -> None:
-    """Raises DataFormatError: two files of a folder are parts of one film by one camera."""
+    """Raise DataFormatError: two files of a folder are parts of one film by one camera."""
     known: dict[tuple[Path, str], Path] = {}
     for path in paths:
         if part := part_of(path):
@@ -79,7 +79,7 @@ def require_one_film_each(paths: list[Path]) -> None:
 
 
 def _part_notes(videos: list[VideoInfo]) -> list[str]:
-    """What the names of GoPros' files say: a part that is not the first, or that goes on in another file."""
+    """Return what the names of GoPros' files say: a part that is not the first, or that goes on in another file."""
     notes = []
     for video in videos:
         part = part_of(video.path)
@@ -97,7 +97,7 @@ def _part_notes(videos: list[VideoInfo]) -> list[str]:
 
 
 def _clock_notes(videos: list[VideoInfo]) -> list[str]:
-    """What the files say of when they began, where they differ."""
+    """Return what the files say of when they began, where they differ."""
     notes = []
     starts = [video.start_s for video in videos]
     steps = [video.usual_step_s for video in videos if video.usual_step_s]
@@ -118,7 +118,7 @@ def _clock_notes(videos: list[VideoInfo]) -> list[str]:
 
 
 def require_whole(videos: list[VideoInfo], enough: bool) -> list[str]:
-    """A note for each file that holds fewer frames than its container states.
+    """Return a note for each file that holds fewer frames than its container states.
 
     Args:
         enough: the user says how many frames are wanted, so a file that breaks off after them will do.
@@ -140,7 +140,7 @@ def require_whole(videos: list[VideoInfo], enough: bool) -> list[str]:
 
 
 def require_one_rate(videos: list[VideoInfo]) -> None:
-    """Raises GofError: the containers' rates differ, so one rate cannot be true of all."""
+    """Raise GofError: the containers' rates differ, so one rate cannot be true of all."""
     rates = {video.path.name: 1 / video.usual_step_s for video in videos if video.usual_step_s}
     if rates and max(rates.values()) > (1 + SAME_RATE) * min(rates.values()):
         each = ", ".join(f"{name} {rate:.4g}" for name, rate in rates.items())
@@ -151,7 +151,7 @@ def require_one_rate(videos: list[VideoInfo]) -> None:
 
 
 def require_one_length(videos: list[VideoInfo], clocks: list[np.ndarray]) -> None:
-    """Raises GofError: clips of different length, so they need not begin together.
+    """Raise GofError: clips of different length, so they need not begin together.
 
     Args:
         clocks: (N,) s of every video's frames.
@@ -169,7 +169,7 @@ def require_one_length(videos: list[VideoInfo], clocks: list[np.ndarray]) -> Non
 
 
 def require_few_missing(video: VideoInfo) -> None:
-    """Raises DataFormatError: more than `MAX_MISSING` of a folder's pictures are missing by their numbers."""
+    """Raise DataFormatError: more than `MAX_MISSING` of a folder's pictures are missing by their numbers."""
     numbers = list(video.numbers or ())
     count, which = missing_numbers(numbers)
     if count > MAX_MISSING * (count + len(numbers)):
@@ -181,7 +181,7 @@ def require_few_missing(video: VideoInfo) -> None:
 
 
 def require_one_beginning(videos: list[VideoInfo]) -> None:
-    """Raises GofError: folders whose pictures begin at different numbers, so that one may lack its first ones."""
+    """Raise GofError: folders whose pictures begin at different numbers, so that one may lack its first ones."""
     first = {str(video.path): video.numbers[0] for video in videos if video.numbers}
     if len(set(first.values())) > 1:
         each = ", ".join(f"{path} {number}" for path, number in first.items())
@@ -194,7 +194,7 @@ def require_one_beginning(videos: list[VideoInfo]) -> None:
 
 
 def number_notes(videos: list[VideoInfo]) -> list[str]:
-    """What the numbers of pictures say of their clock, where it is not one after the other."""
+    """Return what the numbers of pictures say of their clock, where it is not one after the other."""
     notes = []
     for video in videos:
         numbers = list(video.numbers or ())
@@ -209,7 +209,7 @@ def number_notes(videos: list[VideoInfo]) -> list[str]:
 
 
 def other_notes(videos: list[VideoInfo], one_fov: bool) -> list[str]:
-    """What is no error and yet worth saying: more than 8 bits, other sizes, pixels, parts or clocks."""
+    """Return what is no error and yet worth saying: more than 8 bits, other sizes, pixels, parts or clocks."""
     notes = [
         f"{video.path.name}: {video.bits} bits per channel are read as 8; if it is HDR (HLG or PQ), convert it to SDR "
         "first, or colours are not what was seen"

@@ -37,14 +37,15 @@ class Sightings:
     xyz: np.ndarray
 
     def sorted(self) -> Sightings:
-        """Those of one free point after each other, points of bodies first."""
+        """Return those of one free point after each other, points of bodies first."""
         order = np.argsort(self.point, kind="stable")
         return Sightings(*(getattr(self, name)[order] for name in self.__dataclass_fields__))
 
 
 @dataclass(frozen=True)
 class State:
-    """What is adjusted: cameras (C, 4, 4) world to camera, bodies (B, 4, 4) body to world, free points (N, 3)."""
+    """The adjusted quantities: cameras (C, 4, 4) world to camera, bodies (B, 4, 4) body to world, free points (N,
+    3)."""
 
     cameras: np.ndarray
     bodies: np.ndarray
@@ -56,7 +57,7 @@ class State:
         return State(_moved(self.cameras, step[:count]), _moved(self.bodies, step[count:]), self.points + shift)
 
     def about(self, origin: np.ndarray) -> State:
-        """The same in a world whose origin (3,) is there."""
+        """Return the same in a world whose origin (3,) is there."""
         cameras, bodies = self.cameras.copy(), self.bodies.copy()
         cameras[:, :3, 3] += cameras[:, :3, :3] @ origin
         bodies[:, :3, 3] -= origin
@@ -87,7 +88,7 @@ class _Projection:
 
 
 def adjust(start: State, seen: Sightings, K: np.ndarray) -> State:
-    """The state near `start` that explains the pixels best (soft L1, so that single mismatches hardly pull).
+    """Return the state near `start` that explains the pixels best (soft L1, so that single mismatches hardly pull).
 
     Args:
         K: (C, 3, 3) of the cameras.
@@ -182,7 +183,7 @@ class _Normal:
         )
 
     def step(self, damping: float) -> tuple[np.ndarray, np.ndarray]:
-        """(P / 6, 6) and (N, 3): the step, damped in proportion to the diagonal."""
+        """Return (P / 6, 6) and (N, 3): the step, damped in proportion to the diagonal."""
         size = np.einsum("nii->ni", self.points)
         inverse = np.linalg.inv(
             self.points + (damping * size + TINY * size.max(1, keepdims=True) + 1e-300)[..., None] * np.eye(3)
@@ -195,7 +196,7 @@ class _Normal:
 
 
 def _cross(vectors: np.ndarray) -> np.ndarray:
-    """(O, 3, 3) matrices that take the cross product with vectors (O, 3) from the left."""
+    """Return (O, 3, 3) matrices that take the cross product with vectors (O, 3) from the left."""
     x, y, z = vectors.T
     zero = np.zeros_like(x)
     return np.stack([zero, -z, y, z, zero, -x, -y, x, zero], 1).reshape(-1, 3, 3)

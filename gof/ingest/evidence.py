@@ -1,4 +1,5 @@
-"""What clips tell of where their cameras stand, before anything is solved; and whether one was touched in between."""
+"""The evidence of clips on where their cameras stand, before anything is solved; and whether one was touched in
+between."""
 
 from __future__ import annotations
 
@@ -9,6 +10,7 @@ from typing import Literal
 
 import numpy as np
 
+from gof.capture.locate import MARKER_CORNERS, BoardNotFound, Summary, find_marker, locate
 from gof.capture.template import BoardTemplate
 from gof.core.datum import Datum
 from gof.core.description import METRES
@@ -17,7 +19,6 @@ from gof.dataset import Dataset
 from gof.footage.lens import Lens
 from gof.ingest import sfm
 from gof.ingest.accelerometer import Tilt
-from gof.ingest.board import board_points, board_region
 from gof.ingest.marked_points import MarkedPoint
 from gof.ingest.over_time import largest_change
 from gof.ingest.up import UpChoice
@@ -33,7 +34,7 @@ Solver = Literal["auto", "features", "points"]
 
 @dataclass(frozen=True)
 class PoseOptions:
-    """What is known of the scene beside its pictures.
+    """Facts of the scene that are known beside its pictures.
 
     Attributes:
         solver: "features": structure from motion; "points": the board or points by hand; "auto": the first that holds.
@@ -43,7 +44,7 @@ class PoseOptions:
         baseline_m: distance between the first and the last camera in m; gives the scale.
         rig: another clip's poses, to be taken over if nothing speaks against them.
         up: how the vertical is found, see `find_up`.
-        tilts: what the cameras' accelerometers say of it; empty where nobody asked.
+        tilts: the cameras' accelerometers on it; empty where not asked for.
 
     Raises:
         GofError: a length is not positive.
@@ -64,7 +65,7 @@ class PoseOptions:
                 raise GofError(f"{name} {value}: must be a positive length in metres")
 
     def require_own_up(self, poses: str) -> None:
-        """Raises GofError: a way up is asked for, where known poses already say which way it is."""
+        """Raise GofError: a way up is asked for, where known poses already say which way it is."""
         if self.up != "auto":
             raise GofError(f"--up {self.up}: poses are taken over, {poses}, and their axes with them; leave out --up")
 
@@ -96,7 +97,7 @@ class Rig:
 
     @classmethod
     def read(cls, folder: Path, lenses: list[Lens]) -> Rig:
-        """Of a dataset that `gof ingest` made, for cameras with these lenses.
+        """Read that of a dataset that `gof ingest` made, for cameras with these lenses.
 
         Raises:
             DataFormatError: no dataset, another number of cameras, or another lens.
@@ -119,7 +120,7 @@ class Rig:
 
 @dataclass(frozen=True)
 class Evidence:
-    """What one clip tells of where its cameras stand; the frames themselves are no longer needed.
+    """The evidence of one clip on where its cameras stand; the frames themselves are no longer needed.
 
     Attributes:
         name: of the clip, for messages.
@@ -150,7 +151,7 @@ def require_still(
     plates: list[np.ndarray],
     masks: list[np.ndarray] | None = None,
 ) -> dict[str, float]:
-    """How far each camera's still picture moved between two clips: median in px of the clip's pictures.
+    """Return how far each camera's still picture moved between two clips: median in px of the clip's pictures.
 
     Args:
         other: name of the other clip.   plates: its pictures.   masks: where features may be in them.
@@ -178,7 +179,7 @@ def require_still(
 def _feature_masks(
     clips: list[Collection[np.ndarray]], board: list[MarkedPoint], options: PoseOptions
 ) -> list[np.ndarray]:
-    """(H, W) bool per camera: where features may be, on what stands still and is not the board."""
+    """Return (H, W) bool per camera: where features may be, on what stands still and is not the board."""
     masks = [_still(clip) for clip in clips]
     if options.board:
         for c, mask in enumerate(masks):
@@ -187,7 +188,74 @@ def _feature_masks(
 
 
 def _still(clip: Collection[np.ndarray]) -> np.ndarray:
-    """(H, W) bool: pixels that hardly change, shrunk by two pixels."""
+    """Return (H, W) bool: pixels that hardly change, shrunk by two pixels."""
     import cv2
 
     return cv2.erode((largest_change(clip) <= STILL_RANGE).astype(np.uint8), np.ones((5, 5), np.uint8)) > 0
+
+
+# ----------------------------------------------------------------
+# The sync board as a set of points every camera knows: marker corners (a square of known side) and LEDs.
+
+GROWN = 0.2  # of a marker side: what around the board's outline still belongs to it
+
+
+def board_points(
+    clips: list[Collection[np.ndarray]], template: BoardTemplate, marker_m: float
+) -> tuple[list[MarkedPoint], list[str]]:
+    """Return the board's points that some camera sees, xyz on the board (z = 0) in metres.
+
+    LEDs are rough: the template's places for them are good to a few pixels only, but each is one spot in every picture.
+
+    Args:
+        clips: per camera its (H, W, 3) uint8 RGB pictures.
+        marker_m: side of the marker; any number when the scale is unknown.
+    Returns:
+        the points, and one note per camera that does not show the marker.
+    """
+    corners = [MarkedPoint({}, np.append(marker_m * xy, 0.0)) for xy in MARKER_CORNERS]
+    leds = [MarkedPoint({}, np.append(marker_m * xy, 0.0), rough=True) for xy in template.led_xy]
+    notes = []
+    for camera, clip in enumerate(clips):
+        summary = Summary()
+        for frame in clip:
+            summary.add(frame)
+        try:
+            corner_pixels = find_marker(summary, template)
+        except BoardNotFound as e:
+            notes.append(f"camera {camera}: {e}")
+            continue
+        for point, xy in zip(corners, corner_pixels, strict=True):
+            point.pixels[camera] = xy
+        for led, xy in _seen_leds(summary, template).items():
+            leds[led].pixels[camera] = xy
+    return [p for p in corners + leds if p.pixels], notes
+
+
+def _seen_leds(summary: Summary, template: BoardTemplate) -> dict[int, np.ndarray]:
+    """Pixel of every LED that is seen, by its number; none where the strips cannot be read: the corners are enough."""
+    try:
+        board = locate(summary, template)
+    except BoardNotFound:
+        return {}
+    return {k: xy for k, (xy, seen) in enumerate(zip(board.led, board.led_visible, strict=True)) if seen}
+
+
+def board_region(
+    points: list[MarkedPoint], camera: int, template: BoardTemplate, marker_m: float, shape: tuple[int, int]
+) -> np.ndarray:
+    """Return (H, W) bool: the board's outline in a camera, grown a little; all False where it is not seen."""
+    import cv2
+
+    region = np.zeros(shape, np.uint8)
+    corners = [p for p in points if camera in p.pixels and not p.rough]
+    if len(corners) < len(MARKER_CORNERS):
+        return region > 0
+    pixels = np.array([p.pixels[camera] for p in corners])
+    H, _ = cv2.findHomography(np.array([p.xyz[:2] / marker_m for p in corners]), pixels)
+    if H is None:
+        return region > 0
+    outline = cv2.perspectiveTransform(template.outline.reshape(1, -1, 2), H)[0]
+    cv2.fillPoly(region, [np.rint(outline).astype(np.int32)], 1)
+    side = max(3, int(GROWN * np.linalg.norm(pixels[1] - pixels[0])))
+    return cv2.dilate(region, np.ones((side, side), np.uint8)) > 0

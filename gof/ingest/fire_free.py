@@ -40,7 +40,7 @@ class PlateOptions:
 
     @property
     def source(self) -> str:
-        """What the dataset says of them."""
+        """Return what the dataset says of them."""
         return "given" if self.folder else self.kind
 
     @property
@@ -66,7 +66,7 @@ class FireFree:
 
 
 def around(used: np.ndarray, frames: int, count: int) -> np.ndarray:
-    """Numbers of the frames outside a clip that join its own to make `frames`, evenly before and behind it.
+    """Return numbers of the frames outside a clip that join its own to make `frames`, evenly before and behind it.
 
     Nothing between the clip's first and last frame is among them: a frame that is held out, or one filmed beside it,
     must not get into a plate.
@@ -129,7 +129,7 @@ def _left(pictures: list[np.ndarray], fire: list[np.ndarray]) -> list[float]:
 
 
 def read_plates(folder: Path, footage: Footage) -> list[np.ndarray]:
-    """(H, W, 3) uint8 per camera, filmed without fire."""
+    """Return (H, W, 3) uint8 per camera, filmed without fire."""
     found = plates.find_plates(folder, footage.names)
     tags = [info.rotation_deg for info in footage.infos] or [0] * len(found)
     return [

@@ -1,4 +1,5 @@
-"""What the cameras filmed, and through which lenses: pictures made upright and undistorted, read as they are needed."""
+"""Clips as the cameras filmed them, and their lenses: pictures made upright and undistorted, read as they are
+needed."""
 
 from __future__ import annotations
 
@@ -9,11 +10,15 @@ from typing import Any, Literal
 
 import numpy as np
 
+from gof.core.cameras import Camera
 from gof.core.errors import DataFormatError, GofError
-from gof.dataset import Splits, held_out
-from gof.footage.lens import CalibratedCamera, Lens, Turn, preparation, read_cameras
+from gof.core.files import path_in
+from gof.dataset import CameraEntry, Splits, held_out
+from gof.footage.flame_mask import flame_mask
+from gof.footage.lens import ROLL_DEG, CalibratedCamera, Lens, Turn, preparation, read_cameras
+from gof.footage.pictures import write_picture as save_picture
 from gof.footage.videos import VideoInfo, chosen_frames, read_info, require_different
-from gof.host.progress import progress_bar
+from gof.host.terminal import progress_bar
 from gof.ingest.agreement import other_notes, require_one_film_each, require_square_pixels, turn_by_tags
 from gof.ingest.evidence import Evidence, PoseOptions
 from gof.ingest.frame_times import FrameTimes, Timing, read_frame_times
@@ -45,7 +50,8 @@ class Clip(Collection[np.ndarray]):
         return any(picture is frame for frame in self)
 
     def __iter__(self) -> Iterator[np.ndarray]:
-        """(H, W, 3) uint8 RGB. Raises DataFormatError: the footage is shorter, or of another size than the lens."""
+        """Yield (H, W, 3) uint8 RGB. Raises DataFormatError: the footage is shorter, or of another size than the
+        lens."""
         for number, picture in zip(self.frames, chosen_frames(self.path, self.frames), strict=True):
             if picture.shape[1::-1] != self.size:
                 raise DataFormatError(
@@ -56,7 +62,7 @@ class Clip(Collection[np.ndarray]):
             self.watch()
 
     def only(self, places: Iterable[int]) -> Clip:
-        """Its frames at these places."""
+        """Return its frames at these places."""
         return replace(self, frames=tuple(self.frames[k] for k in places))
 
 
@@ -134,7 +140,7 @@ class Footage:
         return replace(self, videos=tuple(videos), infos=tuple(infos))
 
     def all_clips(self) -> list[Clip]:
-        """Every frame, whatever its time: enough for what stands still."""
+        """Return every frame, whatever its time: enough for what stands still."""
         return self.clips([np.arange(count) for count in self.frame_counts])
 
     @property
@@ -144,28 +150,28 @@ class Footage:
 
     @property
     def names(self) -> list[str]:
-        """What the dataset calls the cameras."""
+        """Return what the dataset calls the cameras."""
         return [f"cam_{c}" for c in range(len(self.videos))]
 
     @property
     def upright_lenses(self) -> list[Lens]:
-        """Of the prepared pictures."""
+        """Return the lenses of the prepared pictures."""
         return [lens.turned(self.turn) for lens in self.lenses]
 
     def frame_times(self, timing: Timing) -> FrameTimes:
-        """Which frames are used, and when they were taken. Raises GofError as `read_frame_times`."""
+        """Return which frames are used, and when they were taken. Raises GofError as `read_frame_times`."""
         return read_frame_times(timing, list(self.infos)).turned(self.turn)
 
     def place(self, clips: list[Evidence], options: PoseOptions) -> Placed:
-        """The cameras' poses, from this clip and others of the same rig; see `place_cameras`."""
+        """Return the cameras' poses, from this clip and others of the same rig; see `place_cameras`."""
         return place_cameras(clips, self.upright_lenses, self.names, self.world_to_camera, options)
 
     def splits(self, count: int) -> Splits:
-        """Which of `count` frames are held out."""
+        """Return which of `count` frames are held out."""
         return held_out(count)
 
     def board_mask(self, camera: int) -> np.ndarray | None:
-        """(H, W) uint8, 255 on the LED board, of the prepared picture; None where nothing says so beforehand."""
+        """Return (H, W) uint8, 255 on the LED board, of the prepared picture; None where nothing says so beforehand."""
         return None
 
     def write_beside(self, out: Path) -> None:
@@ -173,15 +179,15 @@ class Footage:
 
     @property
     def provenance(self) -> dict[str, Any]:
-        """What else the dataset says of where it is from."""
+        """Return what else the dataset says of where it is from."""
         return {"videos": [_described(info) for info in self.infos], "turn": self.turn}
 
     def preparation(self, camera: int) -> Callable[[np.ndarray], np.ndarray]:
-        """The function that makes a camera's stored pictures (H, W[, 3]) uint8 undistorted and upright."""
+        """Return the function that makes a camera's stored pictures (H, W[, 3]) uint8 undistorted and upright."""
         return preparation(self.lenses[camera], self.turn)
 
     def clips(self, frames: list[np.ndarray]) -> list[Clip]:
-        """The prepared pictures of these frame numbers, per camera."""
+        """Return the prepared pictures of these frame numbers, per camera."""
         return [
             Clip(video, (lens.width, lens.height), tuple(map(int, wanted)), self.preparation(c))
             for c, (video, lens, wanted) in enumerate(zip(self.videos, self.lenses, frames, strict=True))
@@ -189,7 +195,7 @@ class Footage:
 
 
 def _read(video: Path) -> VideoInfo:
-    """What its file says, under a progress bar: it is read to its end."""
+    """Return what its file says, under a progress bar: it is read to its end."""
     with progress_bar(f"read {video.name}") as update:
         return read_info(video, update)
 
@@ -201,6 +207,89 @@ def _described(info: VideoInfo) -> dict[str, Any]:
 
 
 def _poses(cameras: list[CalibratedCamera]) -> np.ndarray | None:
-    """(C, 4, 4), or None unless every camera has a pose of its own."""
+    """Return (C, 4, 4), or None unless every camera has a pose of its own."""
     poses = {camera.world_to_camera for camera in cameras if camera.world_to_camera is not None}
     return np.array([c.world_to_camera for c in cameras]) if len(poses) == len(cameras) else None
+
+
+# ----------------------------------------------------------------
+# What a dataset made from footage holds of each camera: its plate, pictures and masks, at the size they are stored.
+
+
+@dataclass(frozen=True)
+class StoredView:
+    """A camera and its plate (H, W, 3) uint8 RGB at the size of the dataset's pictures."""
+
+    camera: Camera
+    plate: np.ndarray
+
+    @property
+    def rgb(self) -> str:
+        """Pattern of its pictures' names."""
+        return f"cameras/{self.camera.name}/rgb/{{frame:06d}}.png"
+
+    @property
+    def mask(self) -> str:
+        """Pattern of its flame masks' names."""
+        return f"cameras/{self.camera.name}/mask/{{frame:06d}}.png"
+
+    @property
+    def static(self) -> str:
+        """Name of its plate."""
+        return f"static/{self.camera.name}.png"
+
+    @property
+    def board_mask(self) -> str:
+        """Name of the LED board's mask."""
+        return f"cameras/{self.camera.name}/board_mask.png"
+
+
+def stored_view(camera: Camera, plate: np.ndarray, max_size: int | None) -> StoredView:
+    """Return the camera and its plate, shrunk to a longer side of `max_size` px; None keeps the size."""
+    longest = max(camera.width, camera.height)
+    size = min(max_size or longest, longest)
+    small = camera.scaled(*(max(1, round(side * size / longest)) for side in (camera.width, camera.height)))
+    return StoredView(small, resized(plate, small))
+
+
+def resized(picture: np.ndarray, camera: Camera) -> np.ndarray:
+    """Return the picture at the camera's size; every new pixel is the mean of the old ones it covers."""
+    import cv2
+
+    size = (camera.width, camera.height)
+    return picture if picture.shape[1::-1] == size else cv2.resize(picture, size, interpolation=cv2.INTER_AREA)
+
+
+def write_pictures(out: Path, view: StoredView, clip: Clip) -> None:
+    """Write a camera's plate, its clip, and where fire is in it: an estimate, as no truth exists."""
+    write_picture(path_in(out, view.static), view.plate)
+    plate = view.plate.astype(np.float32) / 255
+    for k, frame in enumerate(clip):
+        picture = resized(frame, view.camera)
+        write_picture(path_in(out, view.rgb.format(frame=k)), picture)
+        flame = flame_mask(picture.astype(np.float32) / 255, plate)
+        write_picture(path_in(out, view.mask.format(frame=k)), flame[..., None].astype(np.uint8) * 255)
+
+
+def write_picture(path: Path, picture: np.ndarray) -> None:
+    """Write an (H, W, 3) RGB or (H, W, 1) uint8 picture."""
+    save_picture(path, picture[..., ::-1])
+
+
+def camera_entries(
+    footage: Footage, times: FrameTimes, stored: list[StoredView], boards: list[np.ndarray | None]
+) -> tuple[CameraEntry, ...]:
+    """Return what dataset.json says of the cameras."""
+    return tuple(
+        CameraEntry.of(
+            view.camera,
+            role="train",
+            roll_deg=ROLL_DEG[footage.turn],
+            rgb=view.rgb,
+            mask=view.mask,
+            static=view.static,
+            board_mask=None if board is None else view.board_mask,
+            time_s=tuple(time_s.tolist()),
+        )
+        for view, time_s, board in zip(stored, times.time_s, boards, strict=True)
+    )

@@ -55,7 +55,7 @@ class FrameTimes:
     def of(
         cls, pairing: Pairing, clocks: list[np.ndarray], row_time_s: list[float], readout: list[str], source: str
     ) -> FrameTimes:
-        """The paired frames' times on `clocks`, (N,) per camera, from camera 0's first on."""
+        """Return the paired frames' times on `clocks`, (N,) per camera, from camera 0's first on."""
         zero = clocks[0][pairing.frames[0][0]]
         time_s = [clock[frames] - zero for clock, frames in zip(clocks, pairing.frames, strict=True)]
         return cls(pairing.frames, time_s, row_time_s, readout, source, pairing.notes)
@@ -68,7 +68,7 @@ class FrameTimes:
 
 @dataclass(frozen=True)
 class Timing:
-    """What is known of the frame times, and which frames to use. Of `times`, `fps` and `stamps`, one is.
+    """Facts of the frame times, and which frames to use. Of `times`, `fps` and `stamps`, one is.
 
     Attributes:
         times: times.json of `gof capture sync`, or None.
@@ -85,7 +85,7 @@ class Timing:
     limit: int | None = None
 
     def require_one_way(self) -> None:
-        """Raises GofError: none or several ways to time are given."""
+        """Raise GofError: none or several ways to time are given."""
         if sum((self.times is not None, bool(self.fps), self.stamps)) != 1:
             raise GofError(
                 "give the frame times with one of --times times.json (of 'gof capture sync'), --times RATE, or --times "
@@ -99,7 +99,7 @@ class Timing:
 
 
 def read_frame_times(timing: Timing, videos: list[VideoInfo]) -> FrameTimes:
-    """The times of videos that were read to their ends.
+    """Return the times of videos that were read to their ends.
 
     Raises:
         DataFormatError, GofError: none or several ways to time are given; a file breaks off (unless `limit` says how
@@ -122,8 +122,8 @@ def stated_times(timing: Timing, videos: list[VideoInfo]) -> FrameTimes:
 
     Raises:
         GofError: a rate that is not positive; another number of rates or starts than of videos; one rate for files that
-            state different ones; time stamps that fit no one rate; clips of different length whose beginnings nobody
-            gave; a start beyond the end; fewer than two frames are left.
+            state different ones; time stamps that fit no one rate; clips of different length without
+            their beginnings; a start beyond the end; fewer than two frames are left.
     """
     starts = _one_each("--start", timing.start, videos)
     for video, start in zip(videos, starts, strict=True):
@@ -152,14 +152,14 @@ def stated_times(timing: Timing, videos: list[VideoInfo]) -> FrameTimes:
 
 
 def _one_each(flag: str, values: tuple, videos: list[VideoInfo]) -> list:
-    """A value per video, of one for all or one each. Raises GofError: another number of them."""
+    """Return a value per video, of one for all or one each. Raises GofError: another number of them."""
     if len(values) not in (1, len(videos)):
         raise GofError(f"{flag}: give one value for all videos, or one for each of the {len(videos)}")
     return list(values) * (len(videos) if len(values) == 1 else 1)
 
 
 def _stamps(video: VideoInfo) -> np.ndarray:
-    """(N,) s. Raises GofError: a folder of pictures, or stamps that do not grow."""
+    """Return (N,) s. Raises GofError: a folder of pictures, or stamps that do not grow."""
     if video.stamps_s is None:
         raise GofError(f"{video.path}: pictures have no time stamps; give the rate with --times")
     if len(video.stamps_s) > 1 and not np.diff(video.stamps_s).min() > 0:
@@ -168,7 +168,8 @@ def _stamps(video: VideoInfo) -> np.ndarray:
 
 
 def _steps(video: VideoInfo) -> np.ndarray:
-    """(N,) whole steps since the first frame: 0, 1, 2, ... where none is missing by the time stamps or file names.
+    """Return (N,) whole steps since the first frame: 0, 1, 2, ... where none is missing by the time stamps or file
+    names.
 
     Raises:
         DataFormatError: by their names, too many of a folder's pictures are missing.
@@ -223,13 +224,13 @@ def measured_times(timing: Timing, videos: list[VideoInfo]) -> FrameTimes:
     if estimated:
         source += f"; the clock of {', '.join(estimated)} is estimated from the flame"
     times = FrameTimes.of(pairing, begins, row_time_s, [camera.readout for camera in cameras], source)
-    doubts = tuple(f"{video.name}: {warning}" for video in synced for warning in video.times.warnings)
+    warnings = tuple(f"{video.name}: {warning}" for video in synced for warning in video.times.warnings)
     said = (f"the clock of {', '.join(estimated)} is estimated from the flame, to milliseconds",) if estimated else ()
-    return replace(times, notes=(*notes, *said, *doubts, *times.notes))
+    return replace(times, notes=(*notes, *said, *warnings, *times.notes))
 
 
 def _read_sync(path: Path, videos: list[VideoInfo]) -> tuple[list[SyncedVideo], tuple[str, ...]]:
-    """Each video's entry of a times.json, all of which have times, and notes."""
+    """Return each video's entry of a times.json, all of which have times, and notes."""
     known = read_record(FrameTimesFile, path).cameras
     if len(known) != len(videos):
         raise DataFormatError(f"{path}: has {len(known)} cameras; it must be made of the same {len(videos)} videos")
@@ -250,8 +251,8 @@ def _read_sync(path: Path, videos: list[VideoInfo]) -> tuple[list[SyncedVideo], 
 def _entries(
     path: Path, known: tuple[SyncedVideo, ...], videos: list[VideoInfo]
 ) -> tuple[list[SyncedVideo], tuple[str, ...]]:
-    """The entry of each video: the one that was made of the same file, wherever it stands; for files that are none of
-    those (copies in another format), what is left in its order, with a note.
+    """Return the entry of each video: the one that was made of the same file, wherever it stands; for files that are
+    none of those (copies in another format), what is left in its order, with a note.
 
     Raises:
         GofError: by their names, those are in another order.
@@ -276,6 +277,6 @@ def _entries(
 
 
 def _readout_s(times: VideoTimes) -> float:
-    """How long a picture is read, from its first to its last line."""
+    """Return how long a picture is read, from its first to its last line."""
     lines = times.width if times.readout in ("left", "right") else times.height
     return times.row_time_us * 1e-6 * (lines - 1)

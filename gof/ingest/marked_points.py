@@ -42,7 +42,7 @@ class MarkedPoint:
 
 
 def read_points(path: Path, names: list[str]) -> list[MarkedPoint]:
-    """Points by hand: {"points": [{"pixels": {camera: [x, y], ...}, "xyz": [x, y, z]?, "upright": name?,
+    """Return points by hand: {"points": [{"pixels": {camera: [x, y], ...}, "xyz": [x, y, z]?, "upright": name?,
     "level": name?}, ...]}.
 
     Args:

@@ -1,4 +1,4 @@
-"""What a fixed camera's pixels do over a clip, frame by frame: no clip is ever held in memory as a whole.
+"""Statistics of a fixed camera's pixels over a clip, frame by frame: no clip is ever held in memory as a whole.
 
 `clip` is anything that can be iterated again and again and has a length: (H, W, 3) uint8 RGB pictures.
 """
@@ -14,7 +14,7 @@ MEDIAN_PASSES = 8  # how often `median` reads the clip: once per bit
 
 
 def darkest(clip: Collection[np.ndarray]) -> np.ndarray:
-    """(H, W, 3) uint8: every pixel as it was in its frame of least luminance (the first of equals)."""
+    """Return (H, W, 3) uint8: every pixel as it was in its frame of least luminance (the first of equals)."""
     low = luma = None
     for frame in clip:
         now = frame.astype(np.float32) @ LUMA
@@ -27,7 +27,7 @@ def darkest(clip: Collection[np.ndarray]) -> np.ndarray:
 
 
 def median(clip: Collection[np.ndarray]) -> np.ndarray:
-    """(H, W, 3) uint8: each value's median over time; of an even number the lower of the middle two.
+    """Return (H, W, 3) uint8: each value's median over time; of an even number the lower of the middle two.
 
     Found bit by bit: the median has a bit if at most half of the values lie below the number that this bit completes.
     """
@@ -45,7 +45,8 @@ def median(clip: Collection[np.ndarray]) -> np.ndarray:
 
 
 def largest_change(clip: Collection[np.ndarray]) -> np.ndarray:
-    """(H, W) uint8: by how much the channel that changes most differs between its brightest and its darkest frame."""
+    """Return (H, W) uint8: by how much the channel that changes most differs between its brightest and its darkest
+    frame."""
     low = high = None
     for frame in clip:
         low = frame.copy() if low is None else np.minimum(low, frame, out=low)

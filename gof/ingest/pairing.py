@@ -23,7 +23,7 @@ class Pairing:
 
 
 def pair(names: list[str], clocks: list[np.ndarray], start: int, limit: int | None, source: str = "") -> Pairing:
-    """A frame of every camera for each frame of the slowest one, from the first camera's frame `start` on.
+    """Return a frame of every camera for each frame of the slowest one, from the first camera's frame `start` on.
 
     Each frame is the one nearest to the slowest camera's. Cameras whose rate is a whole multiple of its rate keep their
     phase: they are moved by how far the two were apart at the beginning, so that jitter swaps no neighbours. A moment
@@ -79,7 +79,7 @@ def pair(names: list[str], clocks: list[np.ndarray], start: int, limit: int | No
 
 
 def _growing(clock: np.ndarray) -> np.ndarray:
-    """Numbers of the frames that are later than all before."""
+    """Return numbers of the frames that are later than all before."""
     return np.flatnonzero(np.diff(np.maximum.accumulate(clock), prepend=-np.inf) > 0)
 
 
@@ -92,7 +92,7 @@ def _steady_phase(ratio: float) -> bool:
 
 
 def _nearest(clock: np.ndarray, own: np.ndarray, wanted: np.ndarray) -> np.ndarray:
-    """Of the frames `own`, the one nearest in time to each of `wanted` (M,) s."""
+    """Return, of the frames `own`, the one nearest in time to each of `wanted` (M,) s."""
     after = (
         np.clip(np.searchsorted(clock[own], wanted), 1, len(own) - 1) if len(own) > 1 else np.zeros(len(wanted), int)
     )
@@ -103,7 +103,8 @@ def _nearest(clock: np.ndarray, own: np.ndarray, wanted: np.ndarray) -> np.ndarr
 def _first_frame(
     where: str, names: list[str], clocks: list[np.ndarray], steps: list[float], start: int, slowest: int
 ) -> int:
-    """The slowest camera's frame nearest to the first camera's frame `start`, or to its first after all have begun."""
+    """Return the slowest camera's frame nearest to the first camera's frame `start`, or to its first after all have
+    begun."""
     begun = max(clock[0] - 0.5 * step for clock, step in zip(clocks, steps, strict=True) if np.isfinite(step))
     ended = min(clock[-1] + 0.5 * step for clock, step in zip(clocks, steps, strict=True) if np.isfinite(step))
     reference = clocks[0][start:]
@@ -127,7 +128,7 @@ def _first_frame(
 def _notes(
     names: list[str], clocks: list[np.ndarray], steps: list[float], frames: list[np.ndarray], slowest: int
 ) -> list[str]:
-    """What is not plain one frame of each after the other."""
+    """Return what is not plain one frame of each after the other."""
     notes = []
     if max(steps) > (1 + SAME_RATE) * min(steps):
         rates = ", ".join(f"{name} {1 / step:.4g}" for name, step in zip(names, steps, strict=True))

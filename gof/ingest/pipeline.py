@@ -15,15 +15,23 @@ from gof.core.files import only_run_in
 from gof.dataset import DatasetDescription
 from gof.dataset.poses import FILE as POSES
 from gof.dataset.poses import Poses
-from gof.host.progress import progress_bar
+from gof.host.terminal import progress_bar
 from gof.ingest.evidence import Evidence, PoseOptions
 from gof.ingest.fire_free import PlateOptions, make_plates, outside
-from gof.ingest.footage import Clip, Footage
+from gof.ingest.footage import (
+    Clip,
+    Footage,
+    StoredView,
+    camera_entries,
+    resized,
+    stored_view,
+    write_picture,
+    write_pictures,
+)
 from gof.ingest.frame_times import FrameTimes, Timing
 from gof.ingest.over_time import darkest
 from gof.ingest.place import Placed
 from gof.ingest.published import CAMERAS_FILE
-from gof.ingest.stored import StoredView, camera_entries, resized, stored_view, write_picture, write_pictures
 
 WRITTEN = ("cameras", "static", "depth", "points.ply", POSES, CAMERAS_FILE)  # names in the folder, but for records
 UNFINISHED = ".unfinished-ingest"
@@ -46,7 +54,7 @@ class Ingested:
 
 
 def require_new(out: Path) -> None:
-    """Raises GofError: the folder holds a dataset, or files of a dataset's names that no unfinished run left."""
+    """Raise GofError: the folder holds a dataset, or files of a dataset's names that no unfinished run left."""
     if (out / "dataset.json").exists():
         raise GofError(f"{out}: already holds a dataset; choose another --out or remove it")
     there = _written_in(out)
@@ -186,7 +194,8 @@ def _make(
 
 @contextmanager
 def watched(title: str, clips: list[Clip], passes: list[int] | None = None) -> Iterator[list[Clip]]:
-    """The clips, with a progress bar over all their frames; each clip is read so many times, once by default."""
+    """Provide the clips, with a progress bar over all their frames; each clip is read so many times, once by
+    default."""
     total, done = sum(n * len(clip) for n, clip in zip(passes or [1] * len(clips), clips, strict=True)), 0
     with progress_bar(title) as update:
 
@@ -199,14 +208,15 @@ def watched(title: str, clips: list[Clip], passes: list[int] | None = None) -> I
 
 
 def derived_files(stored: list[StoredView], placed: Placed, plates_of_clip: bool) -> list[str]:
-    """Names of the dataset's files that are computed from the clip's training frames, masks of single frames aside."""
+    """Return names of the dataset's files that are computed from the clip's training frames, masks of single frames
+    aside."""
     files = [view.static for view in stored] if plates_of_clip else []
     files += [POSES] if placed.report.method in ("features", "points") else []
     return files
 
 
 def evidence_of(footage: Footage, options: PoseOptions) -> Evidence:
-    """What another clip of the rig says of the poses. What stands still needs no times: all frames are used."""
+    """Return what another clip of the rig says of the poses. What stands still needs no times: all frames are used."""
     name = footage.videos[0].parent.name
     everything = footage.all_clips()
     with watched(f"read {name}", everything, [2 + (options.board is not None)] * len(everything)) as clips:
@@ -217,7 +227,7 @@ def evidence_of(footage: Footage, options: PoseOptions) -> Evidence:
 
 
 def placed_cameras(footage: Footage, times: FrameTimes, placed: Placed) -> list[Camera]:
-    """The cameras of the prepared pictures at full size."""
+    """Return the cameras of the prepared pictures at full size."""
     return [
         Camera(name, lens.width, lens.height, lens.K, pose, row_time_s, readout)
         for name, lens, pose, row_time_s, readout in zip(

@@ -87,18 +87,18 @@ def place_cameras(
     factor, scale = metric_scale(chosen.model.world_to_camera, chosen.check, options)
     metric = chosen.model.world_to_camera.copy()
     metric[:, :3, 3] *= factor
-    up, how, doubts = find_up(metric, clips[0], points, lenses, options)
+    up, how, warnings = find_up(metric, clips[0], points, lenses, options)
     world_to_camera, transform = upright_world(metric, up)
     cloud = chosen.model.points * factor @ transform[:3, :3].T + transform[:3, 3]
     judged = (solved.figures, chosen.consistent, chosen.check)
-    doubts += solved.doubts if chosen.method == "features" else ()
-    report = PoseReport(chosen.method, scale, notes + doubts, *judged, moved or None, how)
+    warnings += solved.warnings if chosen.method == "features" else ()
+    report = PoseReport(chosen.method, scale, notes + warnings, *judged, moved or None, how)
     return Placed(world_to_camera, cloud, report)
 
 
 def _all_points(clips: list[Evidence], options: PoseOptions) -> list[MarkedPoint]:
-    """Points by hand, then every clip's board. Coordinates of points by hand have no origin in common with the board's:
-    those given by hand decide."""
+    """Return points by hand, then every clip's board. Coordinates of points by hand have no origin in common with the
+    board's: those given by hand decide."""
     points = [replace(p, board=number) for number, clip in enumerate(clips) for p in clip.board]
     if any(p.xyz is not None for p in options.by_hand):
         points = [p.without_xyz() for p in points]
@@ -151,7 +151,8 @@ def _judged(
     lenses: list[Lens],
     names: list[str],
 ) -> _Attempt:
-    """Two checks that need no truth: most raw matches obey the poses, and marked points are where the poses say."""
+    """Return two checks that need no truth: most raw matches obey the poses, and marked points are where the poses
+    say."""
     share = sfm.consistent_share(features, lenses, model.world_to_camera)
     consistent = {f"{names[i]}-{names[j]}": round(v, 3) for (i, j), v in share.items() if np.isfinite(v)}
     told = [pair for pair, m in features.matches.items() if len(m) >= MIN_JUDGED]
@@ -164,7 +165,7 @@ def _judged(
 
 
 def _together(world_to_camera: np.ndarray, names: list[str]) -> list[str]:
-    """Pairs of cameras that stand in one place, as "A and B"."""
+    """Return pairs of cameras that stand in one place, as "A and B"."""
     centres = -np.einsum("cji,cj->ci", world_to_camera[:, :3, :3], world_to_camera[:, :3, 3])
     apart = np.linalg.norm(centres[:, None] - centres, axis=-1)
     pairs = np.argwhere(np.triu(apart < LEAST_APART * apart.max(), 1))
@@ -194,7 +195,7 @@ def _objection(together: list[str], weak: list[str], lonely: list[str], check: P
 
 
 def _advice(attempts: list[_Attempt], figures: FeatureFigures, notes: list[str]) -> str:
-    """What failed, and what to do about it."""
+    """Return what failed, and what to do about it."""
     source = {"features": "image features", "points": "known points", "rig": "the other clip's poses"}
     lines = ["camera poses could not be solved:"]
     lines += [f"  from {source[a.method]}: {a.refused}" for a in attempts if a.refused]

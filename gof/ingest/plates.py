@@ -31,7 +31,8 @@ MOST_FIRE_LEFT = 0.01  # share of the picture above which plates filmed without 
 
 
 def fire_reached(clip: Collection[np.ndarray], low: np.ndarray) -> np.ndarray:
-    """(H, W) bool: pixels that fire, or much of its light, reached: red rose above the plate `low` more than blue did.
+    """Return (H, W) bool: pixels that fire, or much of its light, reached: red rose above the plate `low` more than
+    blue did.
 
     So do those that such pixels surround: in the heart of a flame that never moves away, `low` is flame itself.
 
@@ -50,7 +51,8 @@ def fire_reached(clip: Collection[np.ndarray], low: np.ndarray) -> np.ndarray:
 
 
 def steady(clip: Collection[np.ndarray], low: np.ndarray, fire: np.ndarray) -> np.ndarray:
-    """(H, W, 3) uint8: the minimum `low` where `fire` (H, W) passed, the temporal median elsewhere, blended between.
+    """Return (H, W, 3) uint8: the minimum `low` where `fire` (H, W) passed, the temporal median elsewhere, blended
+    between.
 
     A minimum over noise lies below the scene by two to three standard deviations; where there is no fire nothing is
     gained by it. Where red is at its limit in every frame, as in the heart of a flame, colour does not show that fire
@@ -66,13 +68,15 @@ def steady(clip: Collection[np.ndarray], low: np.ndarray, fire: np.ndarray) -> n
 
 
 def fire_left(plate: np.ndarray, reached: np.ndarray) -> float:
-    """Share of the picture that has the colour of flame in a plate (H, W, 3) uint8, where fire `reached` (H, W)."""
+    """Return share of the picture that has the colour of flame in a plate (H, W, 3) uint8, where fire `reached` (H,
+    W)."""
     red, green, blue = np.moveaxis(plate.astype(np.int16), -1, 0)
     return float((reached & (red > FIRE_RED) & (red - blue > FIRE_WARM) & (red >= green)).mean())
 
 
 def uncovered(low: np.ndarray, reached: np.ndarray, others: list[np.ndarray]) -> np.ndarray:
-    """The minimum plate, with what other clips by the same camera show darker where fire `reached` (H, W) this one.
+    """Return the minimum plate, with what other clips by the same camera show darker where fire `reached` (H, W) this
+    one.
 
     Fire that stands in one place in one clip stands elsewhere in another. Light and exposure may have changed between
     them: each is brought to this one's level, channel by channel, by the median ratio outside the fire.
@@ -94,7 +98,7 @@ def uncovered(low: np.ndarray, reached: np.ndarray, others: list[np.ndarray]) ->
 
 
 def find_plates(folder: Path, names: Iterable[str]) -> list[Path]:
-    """Each camera's plate filmed without fire: folder/NAME with an ending of `SUFFIXES` or `FILMS`.
+    """Return each camera's plate filmed without fire: folder/NAME with an ending of `SUFFIXES` or `FILMS`.
 
     Raises:
         DataFormatError: no such folder, none or several for a camera; says what there is instead.
@@ -116,7 +120,7 @@ def find_plates(folder: Path, names: Iterable[str]) -> list[Path]:
 
 
 def read_plate(path: Path, lens: Lens, rotation_deg: int = 0) -> np.ndarray:
-    """(H, W, 3) uint8 RGB: a plate as stored; of a film, the median of its frames.
+    """Return (H, W, 3) uint8 RGB: a plate as stored; of a film, the median of its frames.
 
     Args:
         rotation_deg: by which players turn the footage, by its tag.

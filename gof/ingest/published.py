@@ -59,7 +59,7 @@ class Meta:
 
     @classmethod
     def read(cls, folder: Path) -> Meta:
-        """Raises DataFormatError: absent, damaged, a field is missing, of another shape, or not finite."""
+        """Read it. Raises DataFormatError: absent, damaged, a field is missing, of another shape, or not finite."""
         path = folder / META
         arrays = read_npz(path)
         cameras = len(np.atleast_1d(arrays.get("times", ())))
@@ -98,13 +98,13 @@ class Meta:
         )
 
     def world_to_camera(self) -> np.ndarray:
-        """(C, 4, 4) of the stored pictures, in the published world."""
+        """Return (C, 4, 4) of the stored pictures, in the published world."""
         pose = np.tile(np.eye(4), (len(self.R), 1, 1))
         pose[:, :3, :3], pose[:, :3, 3] = self.R, self.t
         return pose
 
     def rectified(self, camera: int) -> Lens:
-        """Their undistorted camera: centred, square pixels, ZOOM times the focal length that shows no border.
+        """Return their undistorted camera: centred, square pixels, ZOOM times the focal length that shows no border.
 
         Their code gives (width / 2, height / 2) as principal point both to OpenCV, which puts pixel centres at
         integers, and to renderers that put them at halves. The poses were found with it and hold the half pixel;
@@ -201,7 +201,7 @@ class PublishedFootage(Footage):
         return held_out(count, first=0)
 
     def board_mask(self, camera: int) -> np.ndarray:
-        """(H, W) uint8, 255 on the LED board, of the upright picture."""
+        """Return (H, W) uint8, 255 on the LED board, of the upright picture."""
         import cv2
 
         path = self.videos[camera].with_suffix(".mask.png")
@@ -222,7 +222,7 @@ class PublishedFootage(Footage):
 
 
 def is_published(videos: list[Path]) -> bool:
-    """Whether what was given as footage is one folder of a published scene."""
+    """Return whether what was given as footage is one folder of a published scene."""
     return len(videos) == 1 and (videos[0] / META).is_file()
 
 

@@ -36,7 +36,7 @@ class Features:
     matches: dict[tuple[int, int], np.ndarray]
 
     def pair(self, i: int, j: int) -> tuple[np.ndarray, np.ndarray]:
-        """Matched positions (M, 2), (M, 2) of cameras i and j."""
+        """Return matched positions (M, 2), (M, 2) of cameras i and j."""
         m = self.matches[i, j]
         return self.keypoints[i][m[:, 0]], self.keypoints[j][m[:, 1]]
 
@@ -51,16 +51,16 @@ class Model:
 
 @dataclass(frozen=True)
 class Solution:
-    """What structure from motion gives: a model if all cameras registered, the features for other solvers, figures.
+    """The result of structure from motion: a model if all cameras registered, the features for other solvers, figures.
 
     Attributes:
-        doubts: why the lenses may be wrong, in words; empty where nothing speaks against them.
+        warnings: why the lenses may be wrong, in words; empty where nothing speaks against them.
     """
 
     model: Model | None
     features: Features
     figures: FeatureFigures
-    doubts: tuple[str, ...] = ()
+    warnings: tuple[str, ...] = ()
 
 
 def solve(
@@ -105,7 +105,7 @@ def solve(
 
 
 def pooled(clips: list[Features]) -> Features:
-    """The features of several clips as if each camera had seen all in one picture: the cameras did not move."""
+    """Return the features of several clips as if each camera had seen all in one picture: the cameras did not move."""
     counts = np.array([[len(k) for k in clip.keypoints] for clip in clips])
     before = np.cumsum(counts, 0) - counts  # numbers of a clip's keypoints begin here, (clips, C)
     keypoints = [np.concatenate([clip.keypoints[c] for clip in clips]) for c in range(counts.shape[1])]
@@ -121,7 +121,8 @@ def pooled(clips: list[Features]) -> Features:
 def shift_between(
     first: np.ndarray, first_mask: np.ndarray, second: np.ndarray, second_mask: np.ndarray | None
 ) -> tuple[float, int]:
-    """How far what stands still lies apart in two pictures by one camera: median in px of the first, and of how many.
+    """Return how far what stands still lies apart in two pictures by one camera: median in px of the first, and of how
+    many.
 
     Args:
         first, second: (H, W, 3) uint8 RGB, sizes may differ.   first_mask, second_mask: (H, W) bool, where to look.
@@ -212,7 +213,7 @@ def _write_features(pycolmap: ModuleType, work: Path, database: Path, files: lis
 
 
 def _verification(pycolmap: ModuleType) -> Any:
-    """Three views 15 degrees apart share few features; COLMAP's defaults are made for hundreds of views."""
+    """Return three views 15 degrees apart share few features; COLMAP's defaults are made for hundreds of views."""
     options = pycolmap.TwoViewGeometryOptions()
     options.min_num_inliers = MIN_MATCHES
     return options
@@ -242,9 +243,9 @@ def _largest_model(pycolmap: ModuleType, work: Path, database: Path) -> Any | No
 
 
 def _doubts(pycolmap: ModuleType, model: Any, lens: Lens) -> tuple[str, ...]:
-    """Whether the model fits much better if its focal lengths may change. Needs three cameras: two fit any lens.
+    """Return whether the model fits much better if its focal lengths may change. Needs three cameras: two fit any lens.
 
-    How much they should change is told roughly only: what a wrong lens did not fit has been left out of the model.
+    How much they should change is known roughly only: what a wrong lens did not fit has been left out of the model.
     """
     if model.num_reg_images() < 3:
         return ()
@@ -268,7 +269,7 @@ def _doubts(pycolmap: ModuleType, model: Any, lens: Lens) -> tuple[str, ...]:
 
 
 def _registered_poses(model: Any | None) -> dict[str, np.ndarray]:
-    """(4, 4) world to camera of every registered picture, by its name."""
+    """Return (4, 4) world to camera of every registered picture, by its name."""
     poses = {}
     for image in model.images.values() if model is not None else ():
         if image.has_pose:

@@ -14,7 +14,8 @@ MAX_RETURN_PX = 1.5  # how far matching there and back may end from where it beg
 
 
 def depth_range(cameras: list[Camera], points: np.ndarray, margin: float = 1.5) -> tuple[float, float]:
-    """Nearest and farthest depth (m) worth searching: the points' 1st and 99th percentile in all views, times `margin`.
+    """Return nearest and farthest depth (m) worth searching: the points' 1st and 99th percentile in all views, times
+    `margin`.
 
     Args:
         points: (N, 3) world; with fewer than 8 in front of the cameras, 1/4 to 80 times the longest baseline.
@@ -30,7 +31,7 @@ def depth_range(cameras: list[Camera], points: np.ndarray, margin: float = 1.5) 
 def semi_global(
     pictures: list[np.ndarray], cameras: list[Camera], reference: int, other: int, near: float, far: float
 ) -> np.ndarray:
-    """Depth of one view by rectified semi-global matching (Hirschmueller 2008) with another.
+    """Return depth of one view by rectified semi-global matching (Hirschmueller 2008) with another.
 
     Args:
         pictures: (H, W, 3) uint8 RGB per camera.   near, far: m.
@@ -89,7 +90,7 @@ class _Rectified:
         return cls(_View(K1, R1, P1), _View(K2, R2, P2), size)
 
     def rectify(self, picture: np.ndarray, view: _View) -> np.ndarray:
-        """The view's picture (H, W, 3) RGB in grey, rectified."""
+        """Return the view's picture (H, W, 3) RGB in grey, rectified."""
         import cv2
 
         maps = cv2.initUndistortRectifyMap(view.K, None, view.R, view.P, self.size, cv2.CV_32FC1)
@@ -104,7 +105,8 @@ class _Rectified:
         return low, int(np.ceil((high - low) / 16) * 16) or 16
 
     def depth(self, disparity: np.ndarray, width: int, height: int) -> np.ndarray:
-        """(H, W) m along the first camera's own axis, at its own pixels, of rectified disparity; NaN where unknown."""
+        """Return (H, W) m along the first camera's own axis, at its own pixels, of rectified disparity; NaN where
+        unknown."""
         import cv2
 
         K, R, P = self.first.K, self.first.R, self.first.P
@@ -167,7 +169,8 @@ def stereo_depth(pictures: list[np.ndarray], cameras: list[Camera], points: np.n
 
 
 def neighbours_matched(pictures: list[np.ndarray], cameras: list[Camera], near: float, far: float) -> list[np.ndarray]:
-    """Every view matched with the cameras next to it: (H, W) float32 m, median of the answers, NaN without one."""
+    """Return every view matched with the cameras next to it: (H, W) float32 m, median of the answers, NaN without
+    one."""
     depths = []
     for reference in range(len(cameras)):
         away = [np.linalg.norm(c.position - cameras[reference].position) for c in cameras]
@@ -184,7 +187,8 @@ def neighbours_matched(pictures: list[np.ndarray], cameras: list[Camera], near: 
 def consistent(
     depths: list[np.ndarray], cameras: list[Camera], tolerance: float = 0.02, views: int = 1
 ) -> list[np.ndarray]:
-    """Depth maps without what fewer than `views` other maps confirm within a relative `tolerance`; (H, W) NaN there."""
+    """Return depth maps without what fewer than `views` other maps confirm within a relative `tolerance`; (H, W) NaN
+    there."""
     kept = []
     for c, depth in enumerate(depths):
         h, w = depth.shape
@@ -201,7 +205,8 @@ def consistent(
 
 
 def _looked_up(depth: np.ndarray, pixels: np.ndarray) -> np.ndarray:
-    """(N,) values of a map (H, W) at pixels (N, 2), the nearest one; NaN outside, and for pixels that are NaN."""
+    """Return (N,) values of a map (H, W) at pixels (N, 2), the nearest one; NaN outside, and for pixels that are
+    NaN."""
     column, row = np.floor(np.nan_to_num(pixels, nan=-1)).astype(int).T
     inside = (column >= 0) & (column < depth.shape[1]) & (row >= 0) & (row < depth.shape[0])
     return np.where(inside, depth[np.where(inside, row, 0), np.where(inside, column, 0)], np.nan)

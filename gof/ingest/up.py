@@ -68,12 +68,13 @@ class Edges:
         return Edges(self.normal[chosen], self.ray[chosen], self.length[chosen], self.camera[chosen])
 
     def off_deg(self, up: np.ndarray) -> np.ndarray:
-        """(N,) degrees between each edge and the picture of the direction `up` (3,) at its middle."""
+        """Return (N,) degrees between each edge and the picture of the direction `up` (3,) at its middle."""
         upright = _unit(np.cross(self.ray, up))  # normal of the plane of an upright edge there
         return np.rad2deg(np.arccos(np.clip(np.abs((upright * self.normal).sum(1)), 0, 1)))
 
     def direction(self, near: np.ndarray) -> np.ndarray:
-        """(3,) that lies in the edges' planes best (least squares, weighted by length), on the side of `near`."""
+        """Return (3,) that lies in the edges' planes best (least squares, weighted by length), on the side of
+        `near`."""
         up = np.linalg.eigh((self.normal * self.length[:, None] ** 2).T @ self.normal)[1][:, 0]
         return up * np.where(up @ near < 0, -1.0, 1.0)
 
@@ -83,15 +84,15 @@ def _unit(vectors: np.ndarray) -> np.ndarray:
 
 
 def cameras_up(poses: np.ndarray) -> np.ndarray:
-    """(3,) mean up of cameras (C, 4, 4): as true as they are level on average. Cameras that lie on their backs and
-    their faces in turn have none; then that of the first."""
+    """Return (3,) mean up of cameras (C, 4, 4): as true as they are level on average. Cameras that lie on their backs
+    and their faces in turn have none; then that of the first."""
     mean = -poses[:, 1, :3].mean(0)
     size = np.linalg.norm(mean)
     return mean / size if size > 1e-6 else -poses[0, 1, :3]
 
 
 def up_from_edges(edges: Edges, level: np.ndarray) -> tuple[np.ndarray, UpReport] | None:
-    """The vertical (3,) and how well it is known; None where too few edges agree on one.
+    """Return the vertical (3,) and how well it is known; None where too few edges agree on one.
 
     Args:
         level: (3,) the cameras' mean up, from which it is less than CONE_DEG away.
@@ -134,12 +135,13 @@ def up_from_edges(edges: Edges, level: np.ndarray) -> tuple[np.ndarray, UpReport
 
 
 def up_from_board(points: list[MarkedPoint], found: np.ndarray, level: np.ndarray) -> np.ndarray | None:
-    """(3,) up of a board that stands upright, on whichever side: the direction of its sides that is nearest to `level`.
+    """Return (3,) up of a board that stands upright, on whichever side: the direction of its sides that is nearest to
+    `level`.
 
     None from fewer than three points.
 
     Args:
-        points: of one board, with xyz.   found: (N, 3) where they are in the world; NaN where nobody knows.
+        points: of one board, with xyz.   found: (N, 3) where they are in the world; NaN where unknown.
     """
     known = np.isfinite(found).all(1)
     if known.sum() < 3:

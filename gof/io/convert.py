@@ -7,11 +7,13 @@ from pathlib import Path
 import numpy as np
 
 from gof.core import ftgs
+from gof.core.drafts import whole_folder
 from gof.core.errors import DataFormatError, NonFiniteError
 from gof.core.gaussians import TransientGaussians
+from gof.core.ply import splat_columns, write
 from gof.host.options import require_number
-from gof.io import compressed, gltf, ply_frames
-from gof.io.importers import Imported, own
+from gof.io import compressed, gltf
+from gof.io.importers import Imported, gof_files
 
 INSTANT = (".glb", *compressed.SUFFIXES)  # suffixes of formats that hold the state at one time
 
@@ -66,19 +68,19 @@ def _written(
     frame_time_s: float | None,
     time_s: float | None,
 ) -> list[str]:
-    """The file by its suffix; args and result as of `convert`."""
+    """Return the file by its suffix; args and result as of `convert`."""
     gaussians = imported.gaussians
     if not isinstance(gaussians, TransientGaussians) and out.suffix != ".npz":
         raise DataFormatError(f"{out}: positions sampled in time have no closed form; write .npz (gof-trajectory/1)")
     if out.name.endswith(".ftgs.ply"):
         return _save_ftgs(gaussians, out, start_s, end_s, frame_time_s)
-    source = own.converted(imported.method, imported.path)
+    source = gof_files.converted(imported.method, imported.path)
     if out.suffix in INSTANT:
         return _save_instant(gaussians, out, time_s, source)
     if out.suffix == "":
         if not frame_time_s:
             raise DataFormatError(f"{out}: a folder of PLYs needs --frame-time, the seconds from one file to the next")
-        notes = ply_frames.save(gaussians, out, *_clip(gaussians, out, start_s, end_s), frame_time_s)
+        notes = save_frames(gaussians, out, *_clip(gaussians, out, start_s, end_s), frame_time_s)
         return [*_measured(gaussians), *notes]
     gaussians.save(out, source)
     return []
@@ -100,7 +102,7 @@ def _save_ftgs(
 
 
 def _measured(gaussians: TransientGaussians) -> list[str]:
-    """What a format without a datum leaves out."""
+    """Return what a format without a datum leaves out."""
     if not gaussians.datum:
         return []
     x, y, z, t = gaussians.datum.numbers().tolist()
@@ -119,8 +121,47 @@ def _save_instant(gaussians: TransientGaussians, out: Path, time_s: float | None
 
 
 def _clip(gaussians: TransientGaussians, out: Path, start_s: float | None, end_s: float | None) -> tuple[float, float]:
-    """First and last second to write: what was given, else when the first one appears and the last one is gone."""
+    """Return first and last second to write: what was given, else when the first one appears and the last one is
+    gone."""
     born, dead = gaussians.life() if gaussians.dynamic.any() else (0.0, 1.0)
     if not np.isfinite([born, dead]).all() and None in (start_s, end_s):
         raise DataFormatError(f"{out}: some Gaussians are always on, so --clip must be given")
     return born if start_s is None else start_s, dead if end_s is None else end_s
+
+
+# ----------------------------------------------------------------
+# A folder of 3DGS PLYs, one for every frame: for viewers that know no time, and play files one after another.
+
+VISIBLE = 1 / 255
+MOST_FRAMES = 100_000  # five digits
+
+
+def save_frames(gaussians: TransientGaussians, folder: Path, start_s: float, end_s: float, step_s: float) -> list[str]:
+    """Write folder/frame00000.ply, ...: number k is the state at start_s + k step_s; the folder must not exist.
+
+    The same Gaussians in the same order in every file, so that their ways can be followed; those that no file would
+    show are left out. Returns what was written, in words.
+
+    Raises:
+        DataFormatError: more frames than five digits count, or nothing is ever seen.
+    """
+    count = int(np.floor((end_s - start_s) / step_s + 1e-6)) + 1
+    if not 1 <= count <= MOST_FRAMES:
+        raise DataFormatError(f"{folder}: {count} frames from {start_s} s to {end_s} s; choose --clip, --frame-time")
+    times = start_s + step_s * np.arange(count)
+    seen = np.zeros(len(gaussians), bool)
+    for time_s in times:
+        seen |= gaussians.at(time_s)[1] >= VISIBLE
+    if not seen.any():
+        raise DataFormatError(f"{folder}: no Gaussian can be seen between {start_s} s and {end_s} s; is that the clip?")
+    g = gaussians[seen]
+    with whole_folder(folder) as whole:
+        for number, time_s in enumerate(times):
+            position, opacity = g.at(time_s)
+            columns = splat_columns(g.arrays() | {"position": position, "opacity": opacity})
+            write(
+                whole / f"frame{number:05d}.ply",
+                columns,
+                [f"state at {time_s:.6f} s", "units: metres; world frame, Z up"],
+            )
+    return [f"{count} files of {len(g):,} Gaussians, {1e3 * step_s:g} ms apart from {start_s:g} s on"]

@@ -128,7 +128,7 @@ def _glb(content: dict[str, Any], binary: bytes) -> bytes:
 
 
 def _losses(g: TransientGaussians) -> list[str]:
-    """The extension's text has colours below 0 drawn as 0; what optimisation made darker than black is lost."""
+    """Return the extension's text has colours below 0 drawn as 0; what optimisation made darker than black is lost."""
     dark = (plain_color(g.color) < 0).any(-1).mean()
     return (
         [f"{dark:.0%} of the Gaussians have a colour below 0, which KHR_gaussian_splatting draws as 0"] if dark else []

@@ -2,18 +2,22 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import os
+import sys
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 from PIL import Image, ImageDraw, ImageFont
 
+from gof.core.errors import DataFormatError, GofError
+from gof.core.files import atomic_path
 from gof.core.gaussians import TransientGaussians
 from gof.dataset import Dataset
 from gof.evaluate.expectation import expected_velocity
 from gof.look import velocity as velocity_module
-from gof.look.encoder import write_film
 from gof.look.images import data_uri, enlarge, factor_for, side_by_side, to_bytes
 
 QUALITY = 82  # of the animation, which is half of the page
@@ -116,7 +120,8 @@ def original(dataset: Dataset) -> str:
 def three_views(
     dataset: Dataset, gaussians: TransientGaussians, plates: list[np.ndarray], frame: int
 ) -> list[tuple[str, list[tuple[str, str]]]]:
-    """Rows of pictures at one time: [(row title, [(camera name, data URI)])]: truth, reconstruction, difference."""
+    """Return rows of pictures at one time: [(row title, [(camera name, data URI)])]: truth, reconstruction,
+    difference."""
     from gof.render import render
 
     rows: dict[str, list] = {original(dataset): [], "reconstruction": [], "difference": []}
@@ -156,7 +161,8 @@ def views_around(
 
 
 def brightest_frame(dataset: Dataset) -> int:
-    """The held-out frame with most flame (without masks: farthest from the plate); any frame when none is held out."""
+    """Return the held-out frame with most flame (without masks: farthest from the plate); any frame when none is held
+    out."""
 
     def flame(k: int) -> float:
         mask = dataset.mask(0, k)
@@ -177,3 +183,81 @@ def _stamp(page: np.ndarray, text: str, accent: bool) -> np.ndarray:
         stroke_fill=(0, 0, 0),
     )
     return np.asarray(image)
+
+
+# ----------------------------------------------------------------
+# Films as files: WebM and MP4 (both VP9) by the FFmpeg of OpenCV, animated WebP by Pillow; a still one as PNG.
+
+CODES = {".webm": "VP90", ".mp4": "vp09"}  # the tags by which OpenCV finds the codec in either container
+STILL = ".png"  # a film of one frame
+SUFFIXES = (*CODES, ".webp", STILL)
+WEBP_QUALITY = 88
+
+
+def require_film(path: Path) -> None:
+    """Raise GofError: the suffix is none of a film that can be written here."""
+    if path.suffix.lower() not in SUFFIXES:
+        raise GofError(f"--out {path}: a film ends in {', '.join(SUFFIXES)}")
+
+
+def write_film(path: Path, frames: Iterable[np.ndarray], fps: float, quality: int = WEBP_QUALITY) -> Path:
+    """Write frames (H, W, 3) uint8, all of one even size, one after another; atomically.
+
+    Args:
+        quality: of a .webp, 0 to 100.
+    Raises:
+        GofError: no such kind of film.   DataFormatError: it cannot be written, or not all of it was.
+    """
+    require_film(path)
+    with atomic_path(path) as temporary:
+        if path.suffix.lower() in CODES:
+            count = _write_video(temporary, frames, fps)
+        else:
+            count = _write_pictures(temporary, frames, fps, quality)
+        if count == 0 or not temporary.is_file() or temporary.stat().st_size == 0:
+            raise DataFormatError(f"{path}: no film could be written")
+    return path
+
+
+def _write_video(path: Path, frames: Iterable[np.ndarray], fps: float) -> int:
+    import cv2
+
+    writer, count = None, 0
+    for frame in frames:
+        if writer is None:
+            code = cv2.VideoWriter_fourcc(*CODES[path.suffix.lower()])
+            with _quiet():
+                writer = cv2.VideoWriter(str(path), cv2.CAP_FFMPEG, code, fps, frame.shape[1::-1])
+            if not writer.isOpened():
+                raise DataFormatError(f"{path.name}: this build of OpenCV cannot write VP9; write a .webp")
+        writer.write(np.ascontiguousarray(frame[..., ::-1]))
+        count += 1
+    if writer is not None:
+        writer.release()
+    return count
+
+
+def _write_pictures(path: Path, frames: Iterable[np.ndarray], fps: float, quality: int) -> int:
+    from PIL import Image
+
+    pictures = [Image.fromarray(frame) for frame in frames]
+    if path.suffix.lower() == STILL and pictures:
+        pictures[0].save(path, optimize=True)
+    elif pictures:
+        how = {"duration": round(1000 / fps), "loop": 0, "quality": quality}
+        pictures[0].save(path, "webp", save_all=True, append_images=pictures[1:], **how)
+    return len(pictures)
+
+
+@contextmanager
+def _quiet() -> Iterator[None]:
+    """FFmpeg says on the screen that it takes another tag than it was given: of no use to anybody."""
+    sys.stderr.flush()
+    kept, nowhere = os.dup(2), os.open(os.devnull, os.O_WRONLY)
+    try:
+        os.dup2(nowhere, 2)
+        yield
+    finally:
+        os.dup2(kept, 2)
+        os.close(kept)
+        os.close(nowhere)

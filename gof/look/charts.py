@@ -134,7 +134,7 @@ def text_width_in(words: str, size: float) -> float:
 
 @contextmanager
 def _style(settings: Mapping[str, str]) -> Iterator[None]:
-    """One thread alone draws in here, in our style, whatever the user's own settings of matplotlib are."""
+    """Hold matplotlib for one thread, in our style, whatever the user's own settings are."""
     from matplotlib import style
 
     with ONE_AT_A_TIME, style.context(["default", STYLE | settings]):
@@ -190,7 +190,7 @@ WIDE = ChartSize(5.8, 3.5, 0.14, 9.0)
 def _chart(
     title: str, x_label: str, y_label: str, names: Sequence[str], size: ChartSize, fill: Callable[[Axes], None]
 ) -> Chart:
-    """A chart with its title above, and a legend of `names` below, in rows; `fill` draws the data."""
+    """Return a chart with its title above, and a legend of `names` below, in rows; `fill` draws the data."""
     row_in = 1.4 * size.small / 72
     legend_in = row_in * sum(name.count("\n") + 1 for name in names) + 0.1
     whole = size.height + legend_in
@@ -211,7 +211,7 @@ def _chart(
 
 
 def _dress(axes: Axes, size: float) -> None:
-    """A thin grid behind the data, numbers of `size` pt, no box."""
+    """Add a thin grid behind the data, numbers of `size` pt, no box."""
     axes.grid(color=GRID, linewidth=0.4)
     axes.set_axisbelow(True)
     axes.tick_params(labelsize=size, labelcolor=INK, width=0.5, length=2.5)
@@ -220,7 +220,7 @@ def _dress(axes: Axes, size: float) -> None:
 
 
 def _plain(name: str, size: ChartSize) -> str:
-    """A name in rows that fit the chart, which matplotlib takes neither for a formula nor for none at all."""
+    """Return a name in rows that fit the chart, which matplotlib takes neither for a formula nor for none at all."""
     letters = int(97 * size.width / size.small)  # of 0.58 of their height each, beside the legend's marks
     return textwrap.fill(name, letters).replace("$", "\\$").lstrip("_") or "-"
 
@@ -319,7 +319,8 @@ def line_chart(
 
 
 def _write_beside(axes: Axes, point: Point, colour: str) -> None:
-    """A mark's words: right of it, or left of it in the right part of the chart, where they would leave the figure."""
+    """Write a mark's words: right of it, or left of it in the right part of the chart, where they would leave the
+    figure."""
     across, _ = axes.transAxes.inverted().transform(axes.transData.transform((point.x, point.y)))
     side, shift = ("left", 4) if across < LABELS_TURN else ("right", -4)
     axes.annotate(
@@ -344,10 +345,10 @@ def _has_place(point: Point, log: Logarithmic) -> bool:
 
 def accuracy_charts(rows: Sequence[Row]) -> dict[str, Chart]:
     """Return a chart by score for each that a method has whose training time is known."""
-    constant = next((row for row in rows if row.control and row.name.endswith("constant")), None)
+    constant = next((row for row in rows if row.trivial_baseline and row.name.endswith("constant")), None)
     charts = {}
     for key in ACCURACY:
-        shown = [row for row in rows if not row.control and getattr(row, key) is not None and row.train_s]
+        shown = [row for row in rows if not row.trivial_baseline and getattr(row, key) is not None and row.train_s]
         if shown:
             points = [(row.name, row.train_s, getattr(row, key)) for row in shown]
             charts[key] = accuracy_chart(key, points, None if constant is None else getattr(constant, key))
@@ -398,10 +399,10 @@ def frame_chart(scores: Scores) -> Chart | None:
         return None
     times_ms = [1000 * (frame.time_s - frames[0].time_s) for frame in frames]
     values = [float("nan") if frame.l2 is None else frame.l2 for frame in frames]
-    control = scores.controls.get("constant")
+    trivial_baseline = scores.trivial_baselines.get("constant")
     levels = {"standing still": (1.0, ":")}
-    if control is not None and control.l2 is not None:
-        levels["one constant vector"] = (control.l2, "--")
+    if trivial_baseline is not None and trivial_baseline.l2 is not None:
+        levels["one constant vector"] = (trivial_baseline.l2, "--")
 
     def fill(axes: Axes) -> None:
         axes.plot(times_ms, values, color=COLOURS[0], linewidth=1.2, label="this result")

@@ -12,6 +12,7 @@ import cv2
 import numpy as np
 
 from gof.core.cameras import Camera
+from gof.core.colour import linear_to_srgb
 from gof.core.errors import DataFormatError
 from gof.core.gaussians import MovingGaussians
 from gof.dataset import Dataset
@@ -26,6 +27,7 @@ from gof.look.panels import Subject, picture
 from gof.look.path import Shot
 from gof.look.tiles import Box, Row, error_tile, picture_tile, velocity_tile
 from gof.look.velocity import fastest, of_result, true_there, unit
+from gof.reconstruct.observation import light_above
 
 Kind = Literal["picture", "parts", "error", "velocity"]
 KINDS: tuple[Kind, ...] = get_args(Kind)
@@ -43,7 +45,7 @@ class Moment:
 
     @classmethod
     def near(cls, dataset: Dataset, camera: int, time_s: float | None) -> Moment:
-        """The frame nearest to a time; by default the held-out one with most flame."""
+        """Return the frame nearest to a time; by default the held-out one with most flame."""
         if time_s is None:
             return cls(dataset, camera, brightest_frame(dataset))
         return cls(dataset, camera, int(abs(dataset.camera_times_s(camera) - time_s).argmin()))
@@ -84,7 +86,7 @@ class Moment:
         return self.dataset.board_weight(self.number)
 
     def judged(self, image: np.ndarray) -> np.ndarray:
-        """The picture (H, W, 3) with what was recorded where nothing counts."""
+        """Return the picture (H, W, 3) with what was recorded where nothing counts."""
         return image if self.counts is None else self.recorded + self.counts[..., None] * (image - self.recorded)
 
     def flame_db(self, image: np.ndarray) -> str:
@@ -96,7 +98,7 @@ class Moment:
 def subject(
     name: str, gaussians: MovingGaussians, method: str, path: Path, moment: Moment, flame_only: bool = False
 ) -> Subject:
-    """A result as `gof evaluate` draws it: flames alone over their plates, other methods' Gaussians over black.
+    """Return a result as `gof evaluate` draws it: flames alone over their plates, other methods' Gaussians over black.
 
     Args:
         method: the importer that read it.   path: the result's file, beside which its own plates may lie.
@@ -107,7 +109,7 @@ def subject(
 
 
 def scored_subject(result: EvaluatedResult, moment: Moment) -> Subject:
-    """A result of `gof evaluate`, read and drawn as it was scored. Raises DataFormatError: see `read_again`."""
+    """Return a result of `gof evaluate`, read and drawn as it was scored. Raises DataFormatError: see `read_again`."""
     gaussians = read_again(result).measured_from(moment.dataset.datum)
     path = scored_file(result)
     over_plates = result.scores.import_.over_plates
@@ -115,7 +117,8 @@ def scored_subject(result: EvaluatedResult, moment: Moment) -> Subject:
 
 
 def read_again(result: EvaluatedResult) -> MovingGaussians:
-    """The Gaussians behind the scores: the file that was scored, or the one in the folder, read and moved as it was.
+    """Return the Gaussians behind the scores: the file that was scored, or the one in the folder, read and moved as it
+    was.
 
     Raises:
         DataFormatError: the file is gone, or damaged.
@@ -127,7 +130,7 @@ def read_again(result: EvaluatedResult) -> MovingGaussians:
 
 
 def scored_file(result: EvaluatedResult) -> Path:
-    """The file behind the scores. Raises DataFormatError: it is gone."""
+    """Return the file behind the scores. Raises DataFormatError: it is gone."""
     origin = result.scores.import_
     candidates = [result.folder / "result.npz", result.folder / "reconstruct" / "result.npz"]
     if origin.path is not None:
@@ -146,7 +149,7 @@ def _plate(path: Path, moment: Moment) -> np.ndarray:
 def comparison(
     subjects: Sequence[Subject], moment: Moment, parts: Sequence[Box] | int = 2, shown: Sequence[Kind] = KINDS
 ) -> list[Row]:
-    """Rows of tiles, the first column of what was recorded, then one of each result.
+    """Return rows of tiles, the first column of what was recorded, then one of each result.
 
     Args:
         parts: which are enlarged, or how many: then those where the results' mean error is largest, for all the same.
@@ -210,3 +213,49 @@ def largest_errors(drawn: Sequence[np.ndarray], recorded: np.ndarray, count: int
         found.append(Box(int(x), int(y), side, side))
         total[max(0, y - side + 1) : y + side, max(0, x - side + 1) : x + side] = -np.inf
     return sorted(found, key=lambda box: box.y)
+
+
+# ----------------------------------------------------------------
+# A picture, the plate that was made of the clip, and what was taken out: what the removal of the fire is worth.
+
+# Of `gof ingest --plates`, by provenance.
+PLATE_KINDS = {"steady": "plate (steady light)", "minimum": "plate (minimum)"}
+
+
+def fire_removal(dataset: Dataset, frame: int, cameras: Sequence[int], result: Path | None = None) -> list[Row]:
+    """Return a row for each camera: picture, plate, that of a result (in the fire's light) where it has one, fire,
+    difference.
+
+    The difference is between the picture and the last plate; its note is what is left of it where neither fire nor a
+    sync board is: error of the plate, light of the fire on the room, noise.
+
+    Args:
+        cameras: their numbers.   result: a result's file, beside which its own plates may lie.
+    """
+    return [_row(dataset, frame, camera, result) for camera in cameras]
+
+
+def _row(dataset: Dataset, frame: int, camera: int, result: Path | None) -> Row:
+    image, plate = dataset.image(camera, frame), dataset.static(camera)
+    name = dataset.cameras[camera].name
+    row = [picture_tile(image, f"{original(dataset)}, {name}"), picture_tile(plate, _plate_name(dataset))]
+    lit = None if result is None else background(dataset, camera, result)[..., :3]
+    if lit is not None and not np.array_equal(lit, plate):
+        row.append(picture_tile(lit, "plate of the result"))
+        plate = lit
+    flame = flame_mask(image, dataset.static(camera))
+    alone = linear_to_srgb(light_above(image, plate))
+    row.append(picture_tile(alone, "light above the plate"))
+    board = dataset.board_weight(camera)
+    counts = ~flame if board is None else ~flame & (board > 0.5)
+    rest = np.abs(image - plate).mean(-1)[counts]
+    note = f"mean {rest.mean():.4f} outside the flame" if rest.size else ""
+    row.append(replace(error_tile(plate, image, "difference", note), outline=flame))
+    return row
+
+
+def _plate_name(dataset: Dataset) -> str:
+    kind = dataset.description.provenance.get("plate")
+    if kind is None:
+        return "plate" if dataset.description.is_filmed else "plate (simulated without fire)"
+    return PLATE_KINDS.get(str(kind), f"plate ({kind})")

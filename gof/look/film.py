@@ -16,8 +16,7 @@ import gof
 from gof.core.files import only_run_in
 from gof.dataset import Dataset
 from gof.footage.pictures import read_picture, write_picture
-from gof.look.animation import original
-from gof.look.encoder import require_film, write_film
+from gof.look.animation import original, require_film, write_film
 from gof.look.images import to_bytes
 from gof.look.panels import (
     MOST_ERROR,
@@ -72,14 +71,14 @@ class Recorded:
     camera: int
 
     def picture(self, shot: Shot) -> np.ndarray:
-        """(H, W, 3) uint8 of the shot's size: the frame nearest to its time."""
+        """Return (H, W, 3) uint8 of the shot's size: the frame nearest to its time."""
         frame = int(np.abs(self.dataset.camera_times_s(self.camera) - shot.time_s).argmin())
         image = self.dataset.image(self.camera, frame)
         return to_bytes(fitted(image, shot.camera.width, shot.camera.height))
 
 
 def fitted(image: np.ndarray, width: int, height: int) -> np.ndarray:
-    """An image resampled to a size."""
+    """Return an image resampled to a size."""
     smaller = width < image.shape[1]
     return cv2.resize(image, (width, height), interpolation=cv2.INTER_AREA if smaller else cv2.INTER_LINEAR)
 
@@ -133,7 +132,7 @@ def make_film(
 def draw_frame(
     subjects: Sequence[Subject], shot: Shot, options: FilmOptions, scales: Scales, recorded: Recorded | None = None
 ) -> np.ndarray:
-    """(H, W, 3) uint8: all panels of one instant with their words, a row for each result."""
+    """Return (H, W, 3) uint8: all panels of one instant with their words, a row for each result."""
     titles = {
         "rgb": "",
         "depth": "depth",

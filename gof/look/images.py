@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import base64
 import io
+from collections.abc import Callable
 from pathlib import Path
 
 import cv2
 import numpy as np
 from PIL import Image
 
+from gof.dataset import Dataset
 from gof.footage.pictures import read_picture
 
 PANEL_WIDTH = 360  # px; small pictures are enlarged to about this by a whole factor
@@ -23,7 +25,7 @@ def to_bytes(image: np.ndarray) -> np.ndarray:
 
 
 def enlarge(image: np.ndarray, factor: int) -> np.ndarray:
-    """(H, W, 3) uint8 enlarged by a whole factor."""
+    """Return (H, W, 3) uint8 enlarged by a whole factor."""
     return np.asarray(Image.fromarray(image).resize((image.shape[1] * factor, image.shape[0] * factor), Image.BICUBIC))
 
 
@@ -44,17 +46,17 @@ def side_by_side(panels: list[np.ndarray]) -> np.ndarray:
 
 
 def mapped(levels: np.ndarray, colour_map: int) -> np.ndarray:
-    """(H, W) uint8 in the colours of one of OpenCV's colour maps, (H, W, 3) uint8."""
+    """Return (H, W) uint8 in the colours of one of OpenCV's colour maps, (H, W, 3) uint8."""
     return np.ascontiguousarray(cv2.applyColorMap(levels, colour_map)[..., ::-1])
 
 
 def ramp(colour_map: int) -> np.ndarray:
-    """(256, 3) uint8: a colour map from its first colour to its last."""
+    """Return (256, 3) uint8: a colour map from its first colour to its last."""
     return mapped(np.arange(256, dtype=np.uint8)[:, None], colour_map)[:, 0]
 
 
 def encoded(image: np.ndarray, kind: str = "webp", quality: int = 88, side: int | None = None) -> bytes:
-    """(H, W, 3 or 4) uint8 as the bytes of a file, of at most `side` px where that is given."""
+    """Return (H, W, 3 or 4) uint8 as the bytes of a file, of at most `side` px where that is given."""
     picture = Image.fromarray(image)
     if side is not None:
         picture.thumbnail((side, side), Image.LANCZOS)
@@ -69,7 +71,7 @@ def base64_text(data: bytes) -> str:
 
 
 def data_uri(image: np.ndarray | Path, kind: str = "webp") -> str:
-    """A picture as a data: URI. A path is decoded and encoded again, so only pixels enter the page.
+    """Return a picture as a data: URI. A path is decoded and encoded again, so only pixels enter the page.
 
     Raises:
         DataFormatError: the file cannot be decoded.
@@ -79,5 +81,71 @@ def data_uri(image: np.ndarray | Path, kind: str = "webp") -> str:
 
 
 def file_uri(path: Path) -> str:
-    """An animation's own bytes as a data: URI."""
+    """Return an animation's own bytes as a data: URI."""
     return f"data:image/{path.suffix[1:]};base64,{base64_text(path.read_bytes())}"
+
+
+# ----------------------------------------------------------------
+# A dataset's pictures, small enough to travel inside a page.
+
+PLATE_SIDE, PLATE_QUALITY = 960, 86
+# Longest side in px, quality of WebP, every n-th frame: the first that fits the budget is taken.
+LADDER = [
+    (960, 82, 1),
+    (640, 80, 1),
+    (480, 74, 1),
+    (360, 70, 1),
+    (320, 60, 1),
+    (240, 55, 1),
+    (240, 50, 2),
+    (200, 40, 4),
+]
+SAMPLED = 3  # frames of each camera that tell how large all will be
+
+
+def webp(picture: np.ndarray, side: int, quality: int) -> bytes:
+    """Return (H, W, 3) display values in [0, 1] as WebP of at most `side` px."""
+    return encoded(to_bytes(picture), "webp", quality, side)
+
+
+def frames_within(
+    views: list[tuple[Dataset, int]], budget_bytes: int, progress: Callable[[int, int], None] | None = None
+) -> tuple[list[list[str | None] | None], str]:
+    """Return every camera's recorded frames as base64 WebP, None for one left out; and in words what was done to them.
+
+    Args:
+        views: (dataset, number of a camera in it).
+        budget_bytes: for all of them together, as base64; 0 = none.
+    """
+    frames = len(views[0][0].times_s) if views else 0
+    chosen = _rung(views, frames, budget_bytes)
+    if chosen is None:
+        return [None] * len(views), "no recorded pictures"
+    side, quality, every = chosen
+    packed, total = [], 0
+    for number, (dataset, camera) in enumerate(views):
+        taken = [
+            base64_text(webp(dataset.image(camera, k), side, quality)) if k % every == 0 else None
+            for k in range(frames)
+        ]
+        packed.append(taken)
+        total += sum(len(text) for text in taken if text)
+        if progress:
+            progress(number + 1, len(views))
+    width, height = views[0][0].cameras[views[0][1]].width, views[0][0].cameras[views[0][1]].height
+    share = min(1.0, side / max(width, height))
+    thinned = "" if every == 1 else f", every {every}. frame"
+    return packed, (
+        f"{len(views)} cameras, {round(width * share)} x {round(height * share)} px{thinned}, {total / 1e6:.1f} MB"
+    )
+
+
+def _rung(views: list[tuple[Dataset, int]], frames: int, budget: int) -> tuple[int, int, int] | None:
+    """Return the first of LADDER whose frames, judged by a few, stay within the budget; None when none does."""
+    few = sorted({int(k) for k in np.linspace(0, frames - 1, SAMPLED)}) if frames else []
+    samples = [dataset.image(camera, k) for dataset, camera in views for k in few]
+    for side, quality, every in LADDER if samples and budget else []:
+        mean = np.mean([len(webp(picture, side, quality)) for picture in samples])
+        if mean * 4 / 3 * len(views) * -(-frames // every) < budget:
+            return side, quality, every
+    return None

@@ -56,7 +56,7 @@ class Sources:
 
 
 def training_frame(dataset: Dataset, camera: int, time_s: float | None) -> int:
-    """The training frame nearest to a time, by default the one with most light above the plate.
+    """Return the training frame nearest to a time, by default the one with most light above the plate.
 
     Of held-out frames there is neither flow nor a flow field: a method must not look at them.
     """
@@ -70,7 +70,7 @@ def training_frame(dataset: Dataset, camera: int, time_s: float | None) -> int:
 
 
 def modalities(dataset: Dataset, seen: Seen, sources: Sources, camera: int, frame: int) -> Modalities:
-    """The tiles of one camera and one training frame.
+    """Return the tiles of one camera and one training frame.
 
     Args:
         dataset: at full size.   seen: what the run in `sources.run` saw of it.
@@ -132,12 +132,13 @@ class _View:
         return [depth_tile(values, name, near, far, self.length, _share(values)) for name, values in found.items()]
 
     def _drawn_depth(self, result: TransientGaussians) -> np.ndarray:
-        """(H, W), NaN where hardly anything is drawn; a flame's is that of its middle, and no surface."""
+        """Return (H, W), NaN where hardly anything is drawn; a flame's is that of its middle, and no surface."""
         drawn = render(result, self.camera, self.time_s)
         return np.where(drawn["alpha"] > SOLID, drawn["depth"], np.nan)
 
     def _stereo(self) -> np.ndarray | str:
-        """(H, W) m of the plate, NaN where no second view confirms it; or why there is none, as of all these maps."""
+        """Return (H, W) m of the plate, NaN where no second view confirms it; or why there is none, as of all these
+        maps."""
         if len(self.dataset.cameras) < 2:
             return "one camera has no stereo"
         plates = [np.uint8(np.rint(255 * self.dataset.static(c))) for c in range(len(self.dataset.cameras))]
@@ -165,7 +166,7 @@ class _View:
         return read_depth(self.sources.depth / "depth", self.camera.name, self.frame)
 
     def optical_flow(self) -> Tile:
-        """Where it is known and flame is, px/s of the pictures that the run has seen."""
+        """Return where it is known and flame is, px/s of the pictures that the run has seen."""
         flow = self.seen.observation.flow[self.f, self.number]
         known = np.isfinite(flow).all(-1) & self.seen.observation.mask[self.f, self.number]
         longest = float(np.percentile(np.linalg.norm(flow[known], axis=-1), 98)) if known.any() else 0.0
@@ -186,7 +187,7 @@ class _View:
         return {name: velocity_tile(values, name, full, unit(self.dataset)) for name, values in fields.items()}
 
     def gaussians(self, name: str, out: Modalities) -> TransientGaussians | None:
-        """Those of a file of the run, None before it is there."""
+        """Return those of a file of the run, None before it is there."""
         path = self.sources.run / f"{name}.npz"
         if not path.is_file():
             out.missing[name] = f"{path.name} is not there yet: the reconstruction has not come so far"
@@ -200,7 +201,7 @@ class _View:
         return picture_tile(drawn, "seeds", f"{len(seeds):,}, of {SHRUNK:g} their size")
 
     def result(self, result: TransientGaussians) -> Tile:
-        """Its picture, over its plate where it is the flame alone."""
+        """Return its picture, over its plate where it is the flame alone."""
         behind = background(self.dataset, self.number, self.sources.run) if result.dynamic.all() else None
         drawn = render(result, self.camera, self.time_s, background=behind)["color"]
         return picture_tile(drawn, "result", f"{len(result):,} Gaussians")
@@ -212,7 +213,8 @@ def _share(depth: np.ndarray) -> str:
 
 
 def voxels_as_gaussians(field: FlowField, frame: FrameField) -> TransientGaussians:
-    """The voxels whose velocity is known as round Gaussians that move with the gas, denser where more light is."""
+    """Return the voxels whose velocity is known as round Gaussians that move with the gas, denser where more light
+    is."""
     shown = frame.known & (frame.emission > 0)
     emission = frame.emission[shown]
     brightest = np.percentile(emission, 98) if len(emission) else 1.0

@@ -52,12 +52,12 @@ class PageGrid:
 
 
 def page_pictures(rows: Sequence[Row]) -> list[list[PagePicture | None]]:
-    """The tiles of a figure for a page."""
+    """Return the tiles of a figure for a page."""
     return [[tile and PagePicture(data_uri(flat(tile)), tile.title, in_words(tile)) for tile in row] for row in rows]
 
 
 def side_by_side(results: Sequence[EvaluatedResult], moment: Moment) -> PageGrid | None:
-    """The results that can be read again, each drawn as it was scored; None where there is none."""
+    """Return the results that can be read again, each drawn as it was scored; None where there is none."""
     subjects = []
     for result in results:
         with suppress(GofError):  # pages name those that are gone or damaged beside their scores
@@ -66,7 +66,7 @@ def side_by_side(results: Sequence[EvaluatedResult], moment: Moment) -> PageGrid
 
 
 def in_words(tile: Tile) -> str:
-    """The tile's note, and what its colours mean."""
+    """Return the tile's note, and what its colours mean."""
     legend = tile.legend
     if isinstance(legend, Bar):
         said = f"colours: {legend.low:.3g} to {legend.high:.3g} {legend.unit}"
@@ -76,7 +76,7 @@ def in_words(tile: Tile) -> str:
 
 
 def flat(tile: Tile) -> np.ndarray:
-    """(H, W, 3) uint8 with arrows, outline and boxes in it, small pictures enlarged, large ones reduced."""
+    """Return (H, W, 3) uint8 with arrows, outline and boxes in it, small pictures enlarged, large ones reduced."""
     width = tile.image.shape[1]
     factor = factor_for(width)
     image = np.array(enlarge(tile.image, factor))  # one that may be written to

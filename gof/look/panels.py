@@ -47,13 +47,13 @@ class Subject:
     plate: np.ndarray | None = None
 
     def at(self, time_s: float) -> tuple[TransientGaussians, float]:
-        """All that is drawn at a time, the still scene too; and the time, the nearest that the result knows."""
+        """Return all that is drawn at a time, the still scene too; and the time, the nearest that the result knows."""
         known = float(np.clip(time_s, *self.gaussians.covered_s))
         state = self.gaussians.state_at(known)
         return state if self.scene is None else _together(self.scene, state), known
 
     def moving(self, shot: Shot) -> ScreenVelocity:
-        """Velocity of what moves, parallel to the shot's picture, m/s."""
+        """Return velocity of what moves, parallel to the shot's picture, m/s."""
         state, known = self.at(shot.time_s)
         return sideways_velocity(living(state, known), shot.camera, known)
 
@@ -65,7 +65,7 @@ def _together(scene: TransientGaussians, flame: TransientGaussians) -> Transient
 
 
 def draw_panel(kind: Panel, subject: Subject, shot: Shot, scales: Scales, reduced: float) -> np.ndarray:
-    """(H, W, 3) uint8 of the camera's size, without words."""
+    """Return (H, W, 3) uint8 of the camera's size, without words."""
     if kind == "velocity":
         return draw(subject.moving(shot), scales.speed, scale=1)
     if kind == "depth":
@@ -74,7 +74,7 @@ def draw_panel(kind: Panel, subject: Subject, shot: Shot, scales: Scales, reduce
 
 
 def picture(subject: Subject, shot: Shot, size_factor: float = 1.0) -> np.ndarray:
-    """(H, W, 3) display values of `gof.render`, over the plate where there is one.
+    """Return (H, W, 3) display values of `gof.render`, over the plate where there is one.
 
     Args:
         size_factor: of every Gaussian's scale; below 1 they come apart and show where they are (the paper's reduced
@@ -89,7 +89,7 @@ def picture(subject: Subject, shot: Shot, size_factor: float = 1.0) -> np.ndarra
 
 
 def _depth(subject: Subject, shot: Shot) -> tuple[np.ndarray, np.ndarray]:
-    """(H, W) camera depth in m of all that is drawn, and alpha (H, W); plates have no depth."""
+    """Return (H, W) camera depth in m of all that is drawn, and alpha (H, W); plates have no depth."""
     from gof.render import render
 
     state, known = subject.at(shot.time_s)
@@ -98,7 +98,7 @@ def _depth(subject: Subject, shot: Shot) -> tuple[np.ndarray, np.ndarray]:
 
 
 def depth_colours(depth: np.ndarray, alpha: np.ndarray, scales: Scales) -> np.ndarray:
-    """(H, W, 3) uint8: near yellow, far violet, by log depth; dark where nothing is."""
+    """Return (H, W, 3) uint8: near yellow, far violet, by log depth; dark where nothing is."""
     low, high = np.log(scales.near), np.log(scales.far)
     share = (high - np.log(np.clip(depth, scales.near, scales.far))) / max(high - low, 1e-9)
     colour = mapped(np.uint8(255 * share + 0.5), VIRIDIS) / 255
@@ -106,7 +106,8 @@ def depth_colours(depth: np.ndarray, alpha: np.ndarray, scales: Scales) -> np.nd
 
 
 def error_colours(drawn: np.ndarray, recorded: np.ndarray, most: float = MOST_ERROR) -> np.ndarray:
-    """(H, W, 3) uint8 of two pictures (H, W, 3) uint8: the channels' mean difference, black none, bright `most`."""
+    """Return (H, W, 3) uint8 of two pictures (H, W, 3) uint8: the channels' mean difference, black none, bright
+    `most`."""
     error = np.abs(drawn.astype(np.float32) - recorded).mean(-1) / 255
     share = np.uint8(255 * np.clip(error / most, 0, 1) + 0.5)
     return mapped(share, INFERNO)
@@ -133,7 +134,7 @@ def measure_scales(subjects: Sequence[Subject], some: Sequence[Shot]) -> Scales:
 
 
 def label(panel: np.ndarray, title: str, kind: str, scales: Scales) -> np.ndarray:
-    """The panel with its title above, and below its legend: the colour wheel in m/s, the depths in m."""
+    """Return the panel with its title above, and below its legend: the colour wheel in m/s, the depths in m."""
     height, width = panel.shape[:2]
     size = int(np.clip(height / 28, 9, 28))
     image = Image.fromarray(panel)
@@ -155,7 +156,7 @@ def label(panel: np.ndarray, title: str, kind: str, scales: Scales) -> np.ndarra
 
 
 def stamp(page: np.ndarray, text: str) -> np.ndarray:
-    """A word in the lower left corner."""
+    """Return a word in the lower left corner."""
     image = Image.fromarray(page)
     size = int(np.clip(page.shape[0] / 28, 9, 28))
     _write(image, (size // 2, page.shape[0] - size // 2), text, size, "ld")
@@ -175,7 +176,7 @@ def _write(image: Image.Image, place: tuple[int, int], text: str, size: int, anc
 
 
 def sheet(rows: Sequence[Sequence[np.ndarray]]) -> np.ndarray:
-    """Rows of panels as one picture of even width and height, as video wants them."""
+    """Return rows of panels as one picture of even width and height, as video wants them."""
     lines = [side_by_side(list(row)) for row in rows]
     lines = [part for line in lines for part in (line, np.full((GAP, line.shape[1], 3), BETWEEN, np.uint8))][:-1]
     page = np.concatenate(lines)

@@ -26,7 +26,7 @@ class Shot:
 
 
 def shots(journey: Journey, times_s: np.ndarray, along: np.ndarray) -> list[Shot]:
-    """A film: at each of its (T,) times the camera that is so far (T,) along its way."""
+    """Return a film: at each of its (T,) times the camera that is so far (T,) along its way."""
     return [Shot(journey(float(share)), float(time)) for time, share in zip(times_s, along, strict=True)]
 
 
@@ -58,12 +58,12 @@ def clock(
 
 
 def stay(camera: Camera) -> Journey:
-    """The camera itself, shutter and all."""
+    """Return the camera itself, shutter and all."""
     return lambda share: camera
 
 
 def orbit(camera: Camera, middle: np.ndarray, degrees: float) -> Journey:
-    """A camera turned about the upright line through `middle` (3,): what stands on that line stays where it is.
+    """Return a camera turned about the upright line through `middle` (3,): what stands on that line stays where it is.
 
     Args:
         degrees: 360 = once around; less = so far in all, to both sides and back.

@@ -3,25 +3,26 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, ClassVar, NamedTuple
 
 from PIL import Image
 
 from gof.core.cameras import in_words
 from gof.core.costs import StageCost
 from gof.core.errors import DataFormatError
-from gof.core.files import atomic_path, path_in
+from gof.core.files import atomic_path, is_name, path_in
 from gof.core.gaussians import TransientGaussians
+from gof.core.records import read_record, write_record
 from gof.dataset import Dataset
 from gof.dataset.plates import background
-from gof.evaluate.scores import ControlScore, Scores, VelocityScore
-from gof.host.machine import machine, versions
+from gof.evaluate.scores import Scores, TrivialScore, VelocityScore
+from gof.host.checks import machine, versions
 from gof.look import animation as pictures
 from gof.look.charts import around_chart, frame_chart
 from gof.look.images import data_uri, enlarge, factor_for, file_uri, to_bytes
 from gof.look.pages import PagePicture, template
-from gof.look.preview import Preview
 from gof.look.velocity import legend
 from gof.reconstruct.captions import Captions
 
@@ -179,13 +180,14 @@ class Verdict(NamedTuple):
 
 
 def verdicts(scores: Scores) -> list[Verdict]:
-    """The velocities against the controls, their speed, the flame's pixels against the plate: what is defined of it."""
+    """Return the velocities against the trivial baselines, their speed, the flame's pixels against the plate: what is
+    defined of it."""
     out = []
     if scores.dve is not None and scores.dve.l2 is not None:
         for name, words in COMPARED.items():
-            control = scores.controls.get(name)
-            if control is not None and control.l2 is not None:
-                out.append(_against(control, words, scores.dve))
+            trivial_baseline = scores.trivial_baselines.get(name)
+            if trivial_baseline is not None and trivial_baseline.l2 is not None:
+                out.append(_against(trivial_baseline, words, scores.dve))
         ratio = scores.dve.speed_ratio
         low, high = RIGHT_SPEED
         out.append(Verdict(low <= ratio <= high, f"Speeds are {ratio:.2f} times the true ones."))
@@ -199,10 +201,45 @@ def verdicts(scores: Scores) -> list[Verdict]:
     return out
 
 
-def _against(control: ControlScore, words: str, dve: VelocityScore) -> Verdict:
-    closer, straighter = dve.l2 < control.l2, dve.cos_sim > control.cos_sim
+def _against(trivial_baseline: TrivialScore, words: str, dve: VelocityScore) -> Verdict:
+    closer, straighter = dve.l2 < trivial_baseline.l2, dve.cos_sim > trivial_baseline.cos_sim
     return Verdict(
         closer and straighter,
-        f"{OUTCOMES[closer, straighter]} {words}: L2 {dve.l2:.3f} against {control.l2:.3f}, "
-        f"CosSim {dve.cos_sim:.3f} against {control.cos_sim:.3f}.",
+        f"{OUTCOMES[closer, straighter]} {words}: L2 {dve.l2:.3f} against {trivial_baseline.l2:.3f}, "
+        f"CosSim {dve.cos_sim:.3f} against {trivial_baseline.cos_sim:.3f}.",
     )
+
+
+# ----------------------------------------------------------------
+# `preview.json`: a picture of the result in Blender, and which true picture it shows. `gof import` writes it.
+
+
+@dataclass(frozen=True)
+class Preview:
+    """A frame rendered by Blender from the imported result.
+
+    Attributes:
+        image: name of the picture, in the folder of preview.json.
+        camera: number of the dataset's camera.   frame: of the dataset.
+
+    Raises:
+        DataFormatError: `image` is a path.
+    """
+
+    SCHEMA: ClassVar[str] = "gof-preview"
+    VERSION: ClassVar[int] = 1
+
+    image: str
+    camera: int
+    frame: int
+
+    def __post_init__(self):
+        if not is_name(self.image):
+            raise DataFormatError(f"image: {self.image[:80]!r} cannot be the name of a picture in this folder")
+
+    @classmethod
+    def read(cls, path: Path) -> Preview:
+        return read_record(cls, path)
+
+    def write(self, path: Path) -> None:
+        write_record(path, self)

@@ -9,8 +9,8 @@ from pathlib import Path
 import numpy as np
 
 from gof.capture.aligned import Alignment, align
-from gof.capture.doubts import missing_frames
 from gof.capture.times import FrameTimesFile, SyncedVideo
+from gof.capture.warnings import missing_frames
 from gof.core.files import atomic_path
 from gof.footage.videos import stored_frames
 from gof.look.charts import Chart
@@ -21,7 +21,7 @@ CROP_HEIGHT = 320
 MOVES = 40  # grey levels by which a pixel changes where there is flame or light
 MOMENTS = 3  # at which the flame's motion is measured
 FAST = 95  # percentile of the motion
-DOUBT_PX = 0.5  # of motion within the uncertainty: above, a reconstruction blurs
+BLUR_PX = 0.5  # of motion within the uncertainty: above, a reconstruction blurs
 FIRE = 60  # red minus blue of a flame
 
 
@@ -59,7 +59,7 @@ def write_report(path: Path, take: FrameTimesFile, charts: Mapping[str, Chart]) 
     said = verdict(worst, sigma[worst], speed, alignment, estimated)
     page = template("sync_report.html").render(
         verdict=said,
-        doubtful=sigma[worst] * speed > DOUBT_PX or bool(estimated),
+        warned=sigma[worst] * speed > BLUR_PX or bool(estimated),
         strip=data_uri(strip(moments)[..., ::-1], "png"),
         rows=[_row(c, sigma[c.name], speed) for c in timed],
         warnings=take.warnings,
@@ -71,8 +71,8 @@ def write_report(path: Path, take: FrameTimesFile, charts: Mapping[str, Chart]) 
 
 
 def verdict(worst: str, sigma_ms: float, speed: float, alignment: Alignment, estimated: list[str]) -> str:
-    """One sentence: the worst error in ms and in px of motion, and what pairing whole frames adds; and whose clock is
-    only estimated."""
+    """Return one sentence: the worst error in ms and in px of motion, and what pairing whole frames adds; and whose
+    clock is only estimated."""
     motion = f", in which the flame's fast parts move {_short(sigma_ms * speed)} px" if speed else ""
     pair = alignment.worst_us / 1000
     paired = f" ({_short(pair * speed)} px)" if speed else ""
@@ -147,7 +147,7 @@ def motion(a: np.ndarray, b: np.ndarray) -> float:
 
 
 def strip(moments: dict[str, Moment]) -> np.ndarray:
-    """(H, W, 3) uint8 BGR: one row of crops before, one after; each with its camera and time."""
+    """Return (H, W, 3) uint8 BGR: one row of crops before, one after; each with its camera and time."""
     import cv2
 
     rows = []

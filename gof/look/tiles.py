@@ -101,7 +101,7 @@ def picture_tile(image: np.ndarray, title: str, note: str = "") -> Tile:
 
 
 def velocity_tile(velocity: ScreenVelocity, title: str, longest: float, unit: str, note: str = "") -> Tile:
-    """Direction as hue, speed as brightness, and arrows; `longest` has full brightness."""
+    """Return direction as hue, speed as brightness, and arrows; `longest` has full brightness."""
     return Tile(colours(velocity, longest), title, note, Wheel(longest, unit), arrows(velocity, longest))
 
 

@@ -30,7 +30,8 @@ class ScreenVelocity(NamedTuple):
 
 
 def living(gaussians: TransientGaussians, time_s: float) -> TransientGaussians:
-    """The dynamic Gaussians that can be seen at a time (opacity above 1/512, half a step of an 8-bit picture)."""
+    """Return the dynamic Gaussians that can be seen at a time (opacity above 1/512, half a step of an 8-bit
+    picture)."""
     _, opacity = gaussians.at(time_s)
     return gaussians[gaussians.dynamic & (opacity > 1 / 512)]
 
@@ -68,7 +69,7 @@ def sideways_velocity(
 def _mean_along_rays(
     gaussians: TransientGaussians, camera: Camera, time_s: float, values: np.ndarray
 ) -> ScreenVelocity:
-    """Two values (N, 2) of each Gaussian, drawn instead of its colour."""
+    """Return two values (N, 2) of each Gaussian, drawn instead of its colour."""
     if len(gaussians) == 0:
         return ScreenVelocity(np.zeros((camera.height, camera.width, 2)), np.zeros((camera.height, camera.width)))
     from gof.render import render
@@ -83,7 +84,7 @@ def _mean_along_rays(
 
 
 def draw(velocity: ScreenVelocity, longest: float, scale: int = 2) -> np.ndarray:
-    """A panel (scale H, scale W, 3) uint8: direction colours over a dark ground, arrows on a grid.
+    """Return a panel (scale H, scale W, 3) uint8: direction colours over a dark ground, arrows on a grid.
 
     Args:
         longest: speed of full brightness, in the velocity's unit; an arrow of that speed reaches its neighbour.
@@ -98,14 +99,15 @@ def draw(velocity: ScreenVelocity, longest: float, scale: int = 2) -> np.ndarray
 
 
 def colours(velocity: ScreenVelocity, longest: float) -> np.ndarray:
-    """(H, W, 3) uint8: direction colours over a dark ground; `longest` as in `draw`."""
+    """Return (H, W, 3) uint8: direction colours over a dark ground; `longest` as in `draw`."""
     alpha = velocity.alpha[..., None]
     color = direction_colors(velocity.flow, longest) * alpha + GROUND * (1 - alpha)
     return (color * 255 + 0.5).astype(np.uint8)
 
 
 def arrows(velocity: ScreenVelocity, longest: float, across: int = ARROWS_ACROSS) -> np.ndarray:
-    """(A, 2, 2) tails and heads in px (x, y), on a grid with `across` places from left to right; faint ones left out.
+    """Return (A, 2, 2) tails and heads in px (x, y), on a grid with `across` places from left to right; faint ones left
+    out.
 
     Args:
         longest: as in `draw`.
@@ -128,7 +130,7 @@ def arrows(velocity: ScreenVelocity, longest: float, across: int = ARROWS_ACROSS
 
 
 def legend(size: int = 160) -> np.ndarray:
-    """The colour wheel (size, size, 4) uint8, corners transparent; a pixel's colour is that of its offset."""
+    """Return the colour wheel (size, size, 4) uint8, corners transparent; a pixel's colour is that of its offset."""
     c = (np.arange(size) + 0.5) / size * 2 - 1
     offset = np.stack(np.meshgrid(c, c), -1)
     alpha = np.clip((1 - np.linalg.norm(offset, axis=-1)) * size / 2, 0, 1)
@@ -141,7 +143,8 @@ def of_result(gaussians: TransientGaussians, camera: Camera, time_s: float) -> S
 
 
 def true_there(gaussians: TransientGaussians, dataset: Dataset, camera: Camera, time_s: float) -> ScreenVelocity:
-    """The simulated velocity at the same Gaussians, the mean over each one's extent; the dataset has to know it."""
+    """Return the simulated velocity at the same Gaussians, the mean over each one's extent; the dataset has to know
+    it."""
     alive = living(gaussians, time_s)
     centre, _ = alive.at(time_s)
     true = expected_velocity(dataset.velocity.at(time_s), centre, alive.scale, alive.rotation).mean
@@ -149,7 +152,7 @@ def true_there(gaussians: TransientGaussians, dataset: Dataset, camera: Camera, 
 
 
 def fastest(fields: Sequence[ScreenVelocity]) -> float:
-    """The speed of full brightness for all of them: the 98th percentile by opacity; > 0."""
+    """Return the speed of full brightness for all of them: the 98th percentile by opacity; > 0."""
     speed = np.concatenate([np.linalg.norm(one.flow, axis=-1).ravel() for one in fields])
     weight = np.concatenate([one.alpha.ravel() for one in fields])
     return max(float(weighted_quantile(speed, weight, 0.98)), 1e-9) if weight.any() else 1.0

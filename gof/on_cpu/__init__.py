@@ -1,7 +1,7 @@
-"""Public Gaussian-splatting research code, unmodified, on a processor instead of CUDA.
+"""Public Gaussian-splatting research code, unmodified, on a CPU instead of CUDA.
 
 A process of its own runs somebody's script: `python -m gof.on_cpu --method NAME SCRIPT ARGS...`, which `gof baseline`
 starts. Before the script begins, stand-ins for the compiled modules that it imports are put into `sys.modules`, and
-PyTorch is told to take "cuda" for "cpu". Both are global, so nothing in `gof` imports this room. Everything is drawn
+PyTorch takes "cuda" for "cpu". Both are global, so nothing in `gof` imports this room. Everything is drawn
 by `gof.render.rasterize`. docs/baselines.md names the commits and settings that this was made for.
 """

@@ -1,4 +1,4 @@
-"""The word "cuda" means the processor: tensors, modules, streams, events, memory queries, loaders and files.
+"""The word "cuda" means the CPU: tensors, modules, streams, events, memory queries, loaders and files.
 
 What is different from a machine with CUDA: `.cuda()` and `.to("cuda")` of a tensor return that tensor, never a copy of
 it, so writing into the result writes into the tensor (there it may be a copy); half precision under autocast stays off.
@@ -21,8 +21,8 @@ from torch.utils.data import DataLoader
 CPU = torch.device("cpu")
 
 
-class ProcessorForCuda(TorchFunctionMode):
-    """While active, every PyTorch call that names a CUDA device is done on the processor.
+class CpuForCuda(TorchFunctionMode):
+    """While active, every PyTorch call that names a CUDA device is done on the CPU.
 
     Attributes:
         on_backward: called with the loss, a number, before every `loss.backward()`.
@@ -39,16 +39,16 @@ class ProcessorForCuda(TorchFunctionMode):
         if func is torch.Tensor.backward and self.on_backward is not None and args[0].numel() == 1:
             self.on_backward(float(args[0].detach()))
         if kwargs.get("device") is not None:
-            kwargs = kwargs | {"device": on_processor(kwargs["device"])}
+            kwargs = kwargs | {"device": on_cpu_device(kwargs["device"])}
         if func is torch.Tensor.to:
-            args = (args[0], *(on_processor(value) for value in args[1:]))
+            args = (args[0], *(on_cpu_device(value) for value in args[1:]))
         elif func is torch.Tensor.type and len(args) > 1 and isinstance(args[1], str):
             args = (args[0], args[1].replace("torch.cuda.", "torch."), *args[2:])
         return func(*args, **kwargs)
 
 
-def on_processor(device: Any) -> Any:
-    """A device, its name or its number as the processor; everything else as it is."""
+def on_cpu_device(device: Any) -> Any:
+    """Return a device, its name or its number as the CPU; everything else as it is."""
     if isinstance(device, bool):
         return device
     if isinstance(device, int):
@@ -68,7 +68,7 @@ class Event:
         self._at = time.perf_counter()
 
     def elapsed_time(self, end_event: Event) -> float:
-        """Milliseconds until `end_event`."""
+        """Return milliseconds until `end_event`."""
         return 1e3 * (end_event._at - self._at)
 
     def synchronize(self):
@@ -114,7 +114,7 @@ def _free_and_all_bytes(device=None) -> tuple[int, int]:
 
 
 def _properties(device=None) -> SimpleNamespace:
-    return SimpleNamespace(name="processor", total_memory=psutil.virtual_memory().total, major=0, minor=0)
+    return SimpleNamespace(name="CPU", total_memory=psutil.virtual_memory().total, major=0, minor=0)
 
 
 CUDA = {
@@ -125,7 +125,7 @@ CUDA = {
     "current_device": lambda: 0,
     "set_device": _nothing,
     "device": lambda device=None: nullcontext(),
-    "get_device_name": lambda device=None: "processor",
+    "get_device_name": lambda device=None: "CPU",
     "get_device_properties": _properties,
     "get_device_capability": lambda device=None: (0, 0),
     "synchronize": _nothing,
@@ -154,8 +154,8 @@ CUDA = {
 }
 
 
-def replace_cuda(mode: ProcessorForCuda) -> None:
-    """Put the above in `torch.cuda`'s place; loaders work in this process, files load onto the processor.
+def replace_cuda(mode: CpuForCuda) -> None:
+    """Put the above in `torch.cuda`'s place; loaders work in this process, files load onto the CPU.
 
     Args:
         mode: to be on in backward passes too. It is off while it answers the call that starts one.
@@ -176,7 +176,7 @@ def replace_cuda(mode: ProcessorForCuda) -> None:
 
 
 def _load_in_this_process() -> None:
-    """A loader's 16 processes would fight over two cores, and a thread that pins pages asks for CUDA."""
+    """Load in this process: a loader's 16 would fight over two cores, and a thread that pins pages asks for CUDA."""
     original = DataLoader.__init__
 
     def __init__(self, dataset, batch_size=1, shuffle=None, sampler=None, batch_sampler=None, num_workers=0, **options):

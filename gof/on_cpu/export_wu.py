@@ -94,13 +94,14 @@ class _State:
         return tuple(tensor.numpy() for tensor in activated)
 
     def velocity(self, time_s: float) -> np.ndarray:
-        """(N, 3) m/s: central differences, one-sided at the clip's two ends."""
+        """Return (N, 3) m/s: central differences, one-sided at the clip's two ends."""
         before, after = np.clip([time_s - STEP_S, time_s + STEP_S], self._frames[0], self._frames[-1])
         return ((self._deformed(after)[0] - self._deformed(before)[0]) / (after - before)).numpy()
 
 
 def clock_of(trained_on: Path, count: int) -> np.ndarray:
-    """(K,) the method's time at every frame. Raises DataFormatError: the folder is not named as a layout of ours."""
+    """Return (K,) the method's time at every frame. Raises DataFormatError: the folder is not named as a layout of
+    ours."""
     if trained_on.name not in CLOCKS:
         raise DataFormatError(
             f"{trained_on}: the training's folder is neither a 'hypernerf' nor a 'multipleview' view, "
@@ -110,7 +111,7 @@ def clock_of(trained_on: Path, count: int) -> np.ndarray:
 
 
 def read_settings(path: Path) -> Namespace:
-    """A training's `cfg_args`, "Namespace(name=value, ...)": plain values, read and never executed.
+    """Return a training's `cfg_args`, "Namespace(name=value, ...)": plain values, read and never executed.
 
     Raises:
         DataFormatError: no such file, or it holds something else.

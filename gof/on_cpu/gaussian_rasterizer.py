@@ -73,7 +73,7 @@ class _Rasterizer(torch.nn.Module):
         self.raster_settings = raster_settings
 
     def markVisible(self, positions):
-        """(N,) bool: in front of the near plane."""
+        """Return (N,) bool: in front of the near plane."""
         with torch.no_grad():
             view = self.raster_settings.viewmatrix
             return positions @ view[:3, 2] + view[3, 2] > NEAR
@@ -153,7 +153,7 @@ class SpacetimeRasterizer(_Rasterizer):
 
 
 def conditioned(settings, ts, scales, scales_t, rotations, rotations_r, prefilter_var):
-    """Gaussians in space and time, at the time of the settings.
+    """Return gaussians in space and time, at the time of the settings.
 
     The 4D rotation x -> l x r in the component order t, z, y, x, as `gof.io.importers.yang` has it.
 
@@ -176,7 +176,8 @@ def conditioned(settings, ts, scales, scales_t, rotations, rotations_r, prefilte
 
 
 def harmonics_at(settings, shs, ts):
-    """(N, 16, 3) of coefficients (N, K, 3) that swing as cos(2 pi k dt / duration) in blocks k = 0, 1, 2 of 16."""
+    """Return (N, 16, 3) of coefficients (N, K, 3) that swing as cos(2 pi k dt / duration) in blocks k = 0, 1, 2 of
+    16."""
     bands = int(settings.sh_degree_t)
     if bands == 0:
         return shs[:, :16]
@@ -190,7 +191,7 @@ def harmonics_at(settings, shs, ts):
 
 
 def draw(settings, means3D, means2D, opacities, shs, colors_precomp, covariance, depth=True):
-    """One picture.
+    """Return one picture.
 
     Args:
         means3D: (N, 3).  means2D: (N, 2 or more) that gets the gradient per half picture, or None.
@@ -256,7 +257,7 @@ def _camera(settings, width: int, height: int):
 
 
 def _covariance(settings, scales, rotations, cov3D_precomp):
-    """(N, 3, 3) of the six numbers given, or of scales and quaternions."""
+    """Return (N, 3, 3) of the six numbers given, or of scales and quaternions."""
     if (cov3D_precomp is None) == (scales is None or rotations is None):
         raise DataFormatError("diff_gaussian_rasterization: give either 'scales' and 'rotations', or 'cov3D_precomp'")
     if cov3D_precomp is not None:
@@ -265,7 +266,8 @@ def _covariance(settings, scales, rotations, cov3D_precomp):
 
 
 def covariance(scales, quaternions):
-    """(N, 3, 3) R S S^T R^T of scales (N, 3) and quaternions wxyz (N, 4), which are not normalised, as in CUDA."""
+    """Return (N, 3, 3) R S S^T R^T of scales (N, 3) and quaternions wxyz (N, 4), which are not normalised, as in
+    CUDA."""
     w, x, y, z = quaternions.unbind(-1)
     R = torch.stack(
         [

@@ -6,14 +6,14 @@ import os
 import runpy
 import subprocess
 import sys
+import time
 from pathlib import Path
 from types import ModuleType
 
 from gof.core.errors import GofError, MissingDependencyError
 from gof.host.processes import run
-from gof.on_cpu import gaussian_rasterizer, repairs
-from gof.on_cpu.curve import Curve
-from gof.on_cpu.devices import ProcessorForCuda, replace_cuda
+from gof.on_cpu import gaussian_rasterizer, methods
+from gof.on_cpu.devices import CpuForCuda, replace_cuda
 from gof.on_cpu.methods import Method, replace_gsplat
 from gof.on_cpu.small_modules import Unused
 from gof.render import gsplat
@@ -30,10 +30,10 @@ def launch(
         GofError: no such script, or a module that the method needs is absent. Else whatever the script raises.
     """
     record = Curve(curve) if curve else None
-    mode = ProcessorForCuda(record.add if record else None)
+    mode = CpuForCuda(record.add if record else None)
     _begin(method, script, mode)
     if without_lpips:
-        repairs.perceptual_loss_left_out()
+        methods.perceptual_loss_left_out()
     if record:
         _count_gaussians(record)
     sys.argv = [str(script), *arguments]
@@ -49,13 +49,13 @@ def export(method: Method, script: Path, model: Path, dataset: Path, out: Path) 
     """
     if method.export is None:
         raise GofError(f"{method.title}: its own files are read; give them to gof evaluate (docs/importers.md)")
-    mode = ProcessorForCuda()
+    mode = CpuForCuda()
     _begin(method, script, mode)
     with mode:
         print(method.export(model, dataset, out))
 
 
-def _begin(method: Method, script: Path, mode: ProcessorForCuda) -> None:
+def _begin(method: Method, script: Path, mode: CpuForCuda) -> None:
     if not script.is_file():
         raise GofError(f"{script}: no such script; give the path of a script in your checkout")
     os.environ.setdefault("MPLBACKEND", "agg")  # matplotlib asks tkinter for a window otherwise, and it may be unused
@@ -102,7 +102,7 @@ def _count_gaussians(record: Curve) -> None:
 
 
 def provenance(method: Method, script: Path) -> str:
-    """One line: which commit of which repository this is, and whether files of it are changed."""
+    """Return one line: which commit of which repository this is, and whether files of it are changed."""
     folder = script.resolve().parent
 
     def git(*words):
@@ -116,3 +116,33 @@ def provenance(method: Method, script: Path) -> str:
     state = f"{len(changed.splitlines())} files changed" if changed else "no file changed"
     known = "" if not method.commit or head.startswith(method.commit) else f"; known to run: {method.commit[:12]}"
     return f"commit {head[:12]}, {state}{known}"
+
+
+# ----------------------------------------------------------------
+# How a training went: one line per `loss.backward()`, thinned, as CSV.
+
+EVERY = 10  # steps; a line is their mean
+
+
+class Curve:
+    """Attributes: count, the Gaussians of the last picture drawn."""
+
+    def __init__(self, path: Path):
+        self.count = 0
+        self._path, self._began = path, time.perf_counter()
+        self._losses: list[float] = []
+        self._step = 0
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_text("step,seconds,cpu_seconds,loss,gaussians\n")
+
+    def add(self, loss: float) -> None:
+        """Count one step."""
+        self._step += 1
+        self._losses.append(loss)
+        if len(self._losses) < EVERY:
+            return
+        mean = sum(self._losses) / EVERY
+        now = time.perf_counter() - self._began
+        with self._path.open("a") as file:
+            file.write(f"{self._step},{now:.2f},{time.process_time():.2f},{mean:.6g},{self.count}\n")
+        self._losses.clear()

@@ -22,7 +22,7 @@ def simple_knn() -> ModuleType:
 
 
 def mean_squared_distance(points):
-    """(N,) the mean of the squared distances from each of the points (N, 3) to its three nearest others."""
+    """Return (N,) the mean of the squared distances from each of the points (N, 3) to its three nearest others."""
     place = points.detach().double().numpy()
     near = min(4, len(place))
     distance = cKDTree(place).query(place, k=near)[0].reshape(len(place), near)[:, 1:]
@@ -37,7 +37,8 @@ def fused_ssim() -> ModuleType:
 
 
 def mean_ssim(img1, img2, padding: str = "same", train: bool = True):
-    """Mean SSIM of pictures (B, C, H, W): 11 px Gaussian window, zeros outside; "valid" leaves 5 px at the edge out."""
+    """Return mean SSIM of pictures (B, C, H, W): 11 px Gaussian window, zeros outside; "valid" leaves 5 px at the edge
+    out."""
     if padding not in ("same", "valid"):
         raise ValueError(f"fused_ssim: padding is '{padding}'; 'same' or 'valid'")
     channels = img1.shape[1]
@@ -75,7 +76,7 @@ def kornia() -> ModuleType:
 
 
 def pixel_grid(height: int, width: int, normalized_coordinates: bool = True, device=None, dtype=None):
-    """(1, height, width, 2) x and y of every pixel, from 0."""
+    """Return (1, height, width, 2) x and y of every pixel, from 0."""
     if normalized_coordinates:
         raise ValueError("create_meshgrid: only normalized_coordinates=False is made here")
     rows, columns = torch.meshgrid(torch.arange(height), torch.arange(width), indexing="ij")

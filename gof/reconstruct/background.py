@@ -23,7 +23,7 @@ from gof.dataset import Dataset
 from gof.dataset.leaks import refuse_leaks
 from gof.dataset.poses import FILE as POSES
 from gof.dataset.poses import Poses
-from gof.host.progress import progress_bar
+from gof.host.terminal import progress_bar
 from gof.ingest import depth as depth_maps
 from gof.ingest.stereo import stereo_depth
 from gof.reconstruct.shrink import shrink

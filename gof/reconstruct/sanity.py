@@ -15,8 +15,8 @@ import cv2
 import numpy as np
 
 from gof.core.cameras import Camera
+from gof.core.datum import require_digits
 from gof.core.errors import DataFormatError, GofError
-from gof.core.precision import require_digits
 from gof.dataset import Dataset
 from gof.footage.flame_mask import flame_mask
 from gof.reconstruct.lit_plate import faint_flame

@@ -19,7 +19,7 @@ from gof.core.gaussians import TransientGaussians
 from gof.dataset import Dataset
 from gof.dataset.leaks import MadeFrom
 from gof.dataset.plates import save_plates
-from gof.host.progress import progress_bar
+from gof.host.terminal import progress_bar
 from gof.reconstruct import ablations, stage_images
 from gof.reconstruct.background import BackgroundOptions, still_gaussians
 from gof.reconstruct.checkpoint import Spent, read_spent

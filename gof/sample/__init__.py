@@ -42,7 +42,7 @@ def unpack_sample(out: Path) -> tuple[int, int]:
 
 
 def _is_there(archive: zipfile.ZipFile, entry: zipfile.ZipInfo, path: Path) -> bool:
-    """Whether the file is there. Raises DataFormatError: with other bytes."""
+    """Return whether the file is there. Raises DataFormatError: with other bytes."""
     if not path.exists():
         return False
     if path.stat().st_size != entry.file_size or path.read_bytes() != archive.read(entry):

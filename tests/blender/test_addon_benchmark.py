@@ -13,7 +13,7 @@ import gof.core.costs
 from gof.core.records import read_record
 from gof.dataset import Dataset
 from gof_benchmark.commands import generate
-from gof_blender.pure import report
+from gof_blender.pure import dataset_process
 from gof_blender.pure import spec as scene_spec
 from gof_blender.pure.dataset_process import stages
 from gof_blender.pure.layout import Layout
@@ -142,7 +142,7 @@ def test_report_escapes_names(tmp_path, made):
     layout.description.write_text(json.dumps(data))
     layout.velocity.mkdir()
     shutil.copy(made.velocity / "zarr.json", layout.velocity)
-    report.write(layout)
+    dataset_process.write_page(layout)
     assert "<script>" not in layout.report.read_text() and "&lt;script&gt;" in layout.report.read_text()
 
 

@@ -106,7 +106,7 @@ def test_it_is_gofs_own_score(folder, tmp_path, seed):
     assert ours.dve.l2 == pytest.approx(theirs.l2, abs=1e-6)
     assert ours.dve.cos_sim == pytest.approx(theirs.cos_sim, abs=1e-6)
     assert ours.dve.weight_outside == pytest.approx(theirs.pooled.weight_outside, abs=1e-6)
-    assert ours.controls.constant.l2 == pytest.approx(theirs.controls["constant"].l2, abs=1e-6)
+    assert ours.trivial_baselines.constant.l2 == pytest.approx(theirs.trivial_baselines["constant"].l2, abs=1e-6)
     assert ours.dve.frames_scored == len(TIMES)
 
 

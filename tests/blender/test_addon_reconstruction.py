@@ -266,16 +266,16 @@ def test_colour_by_how_sure_the_velocity_is(tmp_path):
     """Dark where the velocity is sure; where nobody says how sure, as bright as its speed; refused without."""
     result = replace(random_gaussians(60), t_sigma=np.full(60, np.inf), dynamic=np.ones(60, bool))
     result.save(tmp_path / "silent.npz")
-    doubt = np.linspace(0, 1, 60)
-    doubt[7] = np.inf
-    replace(result, velocity_sd=doubt).save(tmp_path / "unsure.npz")
+    uncertainty = np.linspace(0, 1, 60)
+    uncertainty[7] = np.inf
+    replace(result, velocity_sd=uncertainty).save(tmp_path / "unsure.npz")
     found = in_blender(
         LOOK
         + """
 for name in ("unsure", "silent"):
     bpy.ops.gof.import_result(filepath=str(folder / f"{name}.npz"))
     thing = bpy.context.object
-    scene.gof.reconstruction.color = "doubt"
+    scene.gof.reconstruction.color = "uncertainty"
     cloud = point_cloud.inputs(thing)
     cloud["Opacity Cut"] = 0.0
     data = drawn(thing)[0]
@@ -285,7 +285,7 @@ for name in ("unsure", "silent"):
     )
     shown = np.array(found["unsure"][0])
     speed = np.linalg.norm(result.velocity[7])
-    assert found["unsure"][1] == pytest.approx(np.percentile(np.append(np.delete(doubt, 7), speed), 98), rel=1e-5)
+    assert found["unsure"][1] == pytest.approx(np.percentile(np.append(np.delete(uncertainty, 7), speed), 98), rel=1e-5)
     assert shown[0, 1] < 0.02 and shown[0, 2] > shown[0, 0], "the dark end of the map is violet"
     assert shown[-1, 0] > 0.9 and shown[-1, 2] < 0.1, "the bright end is yellow"
     assert found["silent"][2] == "image", "there is nothing to colour by"

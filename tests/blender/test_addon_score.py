@@ -109,7 +109,7 @@ result["foreign"] = sorted({"gof", "torch", "mitsuba", "scipy"} & set(sys.module
     assert set(found["numbers"]) >= {
         f"DVE L2: {wanted.l2:.3f}",
         f"DVE CosSim: {wanted.cos_sim:.3f}",
-        f"L2 of one vector: {wanted.controls['constant'].l2:.3f}",
+        f"L2 of one vector: {wanted.trivial_baselines['constant'].l2:.3f}",
         f"Weight outside: {100 * wanted.pooled.weight_outside:.0f} %",
         "Frames: 4",
         "Computed by: the add-on",
@@ -133,7 +133,7 @@ def test_weight_outside_is_a_percentage_of_the_weight(folder, tmp_path):
     assert rows["Weight outside"] == "50 %"
     read = gof_scores.Scores.read(out)
     assert rows["DVE L2"] == f"{read.dve.l2:.3f}" and rows["Frames"] == str(read.dve.frames_scored)
-    assert rows["L2 of no motion"] == f"{read.controls['zero'].l2:.3f}"
+    assert rows["L2 of no motion"] == f"{read.trivial_baselines['zero'].l2:.3f}"
 
 
 @pytest.mark.blender

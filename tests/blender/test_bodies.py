@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from gof_blender.core.checked_json import SpecError
-from gof_blender.pure import bodies, look_process, sense
+from gof_blender.pure import bodies, dataset_process, plausibility
 from gof_blender.pure.effects.obstacles import Obstacle, Settings
 from gof_blender.pure.fires import Domain, GridFire
 from gof_blender.pure.layout import Layout
@@ -56,7 +56,7 @@ def test_what_the_gas_does_not_feel_is_said_with_the_obstacle_that_would_be_righ
     assert "'Shelf' is in the domain and no obstacle" in note
     assert "shape box, position (0.1, 0, 0.8), size (0.3, 0.2, 0.2) m" in note
     right = replace(PLAIN, effects=(Settings((Obstacle("box", (0.1, 0.0, 0.8), (0.3, 0.2, 0.2)),)),))
-    assert not [*sense.findings(right)]
+    assert not [*plausibility.findings(right)]
     half_out = bodies.notes(PLAIN, [box((0.4, 0, 0.8), (0.4, 0.2, 0.2))])
     assert "position (0.3, 0, 0.8), size (0.2, 0.2, 0.2) m" in half_out[0], "only what is in the domain"
     (thin,) = bodies.notes(PLAIN, [box((0, 0, 0.8), (0.4, 0.4, 0.01))])
@@ -150,14 +150,14 @@ def users(tmp_path_factory) -> SceneSpec:
 
 @pytest.mark.blender
 def test_a_look_into_the_users_file_names_what_stands_in_the_flame(users):
-    notes = look_process.notes(users, [sys.executable, "-c"])
+    notes = dataset_process.scene_notes(users, [sys.executable, "-c"])
     named = sorted(re.findall(r"'(\w+)'", " ".join(notes)))
     assert named == ["Crates", "Guide", "Log", "Shelf", "Sign"], "and neither floor, room, lamp, obstacles nor hidden"
     shelf = next(note for note in notes if "'Shelf'" in note)
     assert "position (0.1, 0.1, 1.2), size (0.4, 0.3, 0.3) m" in shelf, "in our metres, whatever the file's unit is"
     wrong = replace(users, blend_file=replace(users.blend_file, empty="Hearth"))
     with pytest.raises(SpecError, match="no object 'Hearth'; its empties: Crates, Fire"):
-        look_process.notes(wrong, [sys.executable, "-c"])
+        dataset_process.scene_notes(wrong, [sys.executable, "-c"])
 
 
 @pytest.mark.blender
@@ -185,7 +185,7 @@ def test_gas_flows_around_effectors_of_the_file_and_through_everything_else(user
     assert fastest((0.22, 0.22, 0.36), (0.32, 0.32, 0.3)) < 0.02, "Unseen"
     assert fastest((0.1, 0.1, 1.2), (0.4, 0.3, 0.3)) > 0.02, "the shelf is air"
     kept = replace(users, blend_file=replace(users.blend_file, path=str(layout.background)))
-    again = " ".join(look_process.notes(kept, [sys.executable, "-c"]))
+    again = " ".join(dataset_process.scene_notes(kept, [sys.executable, "-c"]))
     assert "'Shelf'" in again and "'Stone'" not in again and "'Unseen'" not in again
 
 

@@ -17,7 +17,7 @@ def test_a_flame_that_is_cut_off_is_said(tmp_path):
         import numpy as np
         from types import SimpleNamespace
         from gof_blender.pure.spec import Clip, SceneSpec
-        from gof_blender.scene import flame_edges
+        from gof_blender.scene import extra_truth
         spec = SceneSpec("x", clip=Clip(frames=9))
         def light(frame):
             values = np.zeros((8, 8, 12), np.float32)
@@ -25,8 +25,8 @@ def test_a_flame_that_is_cut_off_is_said(tmp_path):
             if frame == spec.timeline.blender_frame(8):
                 values[3:5, 3:5, 8:] = 0.3
             return values
-        result["column"] = flame_edges.cut_off(spec, SimpleNamespace(light=light))
-        result["dark"] = flame_edges.cut_off(spec, SimpleNamespace(light=lambda frame: np.zeros((4, 4, 4))))
+        result["column"] = extra_truth.cut_off(spec, SimpleNamespace(light=light))
+        result["dark"] = extra_truth.cut_off(spec, SimpleNamespace(light=lambda frame: np.zeros((4, 4, 4))))
     """)
     sides = ("-x side", "+x side", "-y side", "+y side")
     assert found["column"] == {"top": 0.3, **dict.fromkeys(sides, 0.0)}

@@ -49,11 +49,11 @@ def test_reads_what_the_library_writes(tmp_path, suffix, color_shape):
 @pytest.mark.parametrize("suffix", [".npz", ".ply"])
 def test_reads_how_sure_the_velocity_is(tmp_path, suffix):
     silent = gaussians()
-    assert not load(silent.save(tmp_path / f"silent{suffix}")).says_doubt
-    doubt = np.linspace(0, 2, N).astype(np.float32)
-    doubt[5] = np.inf
-    cloud = load(replace(silent, velocity_sd=doubt).save(tmp_path / f"unsure{suffix}"))
-    assert cloud.says_doubt and np.array_equal(cloud.velocity_sd, doubt)
+    assert not load(silent.save(tmp_path / f"silent{suffix}")).says_uncertainty
+    uncertainty = np.linspace(0, 2, N).astype(np.float32)
+    uncertainty[5] = np.inf
+    cloud = load(replace(silent, velocity_sd=uncertainty).save(tmp_path / f"unsure{suffix}"))
+    assert cloud.says_uncertainty and np.array_equal(cloud.velocity_sd, uncertainty)
 
 
 @pytest.mark.parametrize("suffix", [".npz", ".ply"])

@@ -43,7 +43,7 @@ VECTORS_M_S = {  # of the last frame, by cell
 @pytest.mark.blender
 @pytest.mark.slow
 def test_a_spec_of_version_1_bakes_the_velocity_that_it_did(tmp_path):
-    """Not to the bit: Mantaflow's rounding differs between processors, and flames amplify it."""
+    """Not to the bit: Mantaflow's rounding differs between CPUs, and flames amplify it."""
     pytest.importorskip("bpy", reason="the generator needs the bpy wheel")
     (tmp_path / "old.json").write_text(json.dumps(SPEC))
     layout = Layout(tmp_path / "old")

@@ -12,16 +12,16 @@ from gof.core.errors import GofError
 from gof.core.fire import FireDescription, Hearth
 from gof_benchmark.commands import generate
 from gof_benchmark.fires import __file__ as FIRES
-from gof_benchmark.generator import looks
+from gof_benchmark.generator import blender_process
 from gof_benchmark.scenes import FOLDER as SCENES
 from gof_benchmark.solvers.grids import FireFrame, write_fire
 from gof_blender.core.checked_json import SpecError
-from gof_blender.pure import camera_poses, cost_model, rooms, sense
+from gof_blender.pure import cost_model, plausibility
 from gof_blender.pure import spec as scene_spec
 from gof_blender.pure.effects import moving_emitter, obstacles
 from gof_blender.pure.fires import Domain, Fire, GridFire
 from gof_blender.pure.layout import Layout
-from gof_blender.pure.rig import Pose, Rig
+from gof_blender.pure.rig import Pose, Rig, positions, seen
 from gof_blender.pure.spec import BlendFile, Clip, Display, Render, SceneSpec
 from tests.blender.runs import in_blender
 
@@ -35,11 +35,11 @@ POOL = replace(  # the review's: 4 m across in a domain of 12 m
 
 
 def fatal(spec: SceneSpec) -> str:
-    return "; ".join(finding.text for finding in sense.findings(spec) if finding.fatal)
+    return "; ".join(finding.text for finding in plausibility.findings(spec) if finding.fatal)
 
 
 def hints(spec: SceneSpec) -> str:
-    return "; ".join(finding.text for finding in sense.findings(spec) if not finding.fatal)
+    return "; ".join(finding.text for finding in plausibility.findings(spec) if not finding.fatal)
 
 
 def test_scenes_and_fires_of_ours_make_sense():
@@ -102,8 +102,8 @@ def test_what_a_camera_sees_is_what_the_library_projects(roll):
     rig = Rig(count=3, eval_count=1, roll_deg=roll)
     width, height = (720, 1280) if roll else (1280, 720)
     points = np.random.default_rng(0).uniform(-2.5, 2.5, (400, 3))
-    found = camera_poses.seen(rig, points)
-    for index, place in enumerate(camera_poses.positions(rig)):
+    found = seen(rig, points)
+    for index, place in enumerate(positions(rig)):
         forward = np.array(rig.look_at) - place
         forward /= np.linalg.norm(forward)
         right = np.cross(forward, [0, 0, 1])
@@ -121,9 +121,9 @@ def test_what_a_camera_sees_is_what_the_library_projects(roll):
 def test_rooms_refuse_what_does_not_fit_and_the_studio_grows():
     workshop = replace(POOL, background="workshop")
     assert "the shelves of the workshop stand at y = 1.4: they would be in the fire" in fatal(workshop)
-    assert not fatal(POOL) and rooms.studio_scale(PLAIN) == 1.0
-    scale = rooms.studio_scale(POOL)
-    cameras = camera_poses.positions(POOL.cameras)
+    assert not fatal(POOL) and plausibility.studio_scale(PLAIN) == 1.0
+    scale = plausibility.studio_scale(POOL)
+    cameras = positions(POOL.cameras)
     assert 1.95 * scale > 4 and 4 * scale > abs(cameras[:, :2]).max() and 5 * scale > 12
     assert "behind the shelves" in fatal(replace(PLAIN, background="workshop", cameras=Rig(azimuth_deg=90.0)))
     assert "below the floor" in fatal(replace(PLAIN, cameras=Rig(height=-0.2)))
@@ -192,7 +192,7 @@ def test_the_studio_is_built_around_a_large_fire(tmp_path):
 
 def test_what_cannot_be_made_is_refused_before_a_folder_is_claimed(tmp_path, monkeypatch):
     monkeypatch.setattr(cost_model, "known_machine", lambda: cost_model.REFERENCE)
-    monkeypatch.setattr(looks, "known_looks", lambda view: ["None", "High Contrast"])
+    monkeypatch.setattr(blender_process, "known_looks", lambda view: ["None", "High Contrast"])
     gone = replace(PLAIN, background="blend_file", blend_file=BlendFile("gone.blend"))
     cases = {
         "there is no file .*gone.blend": gone,
@@ -246,7 +246,7 @@ def test_looks_are_those_of_the_installed_blender():
     import ast
 
     for view, known in found.items():
-        assert looks.known_looks(view) == list(ast.literal_eval(known))
+        assert blender_process.known_looks(view) == list(ast.literal_eval(known))
 
 
 def test_what_cannot_be_read_or_made_is_said_in_words(tmp_path):

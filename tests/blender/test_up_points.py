@@ -11,7 +11,7 @@ import pytest
 from gof.commands.ingest import IngestConfig, ingest
 from gof.core.errors import GofError
 from gof.dataset import Dataset
-from gof.ingest import accelerometer, gpmf
+from gof.ingest import accelerometer
 from gof_blender.pure import spec as scene_spec
 from tests.blender.runs import TOY, in_blender
 from tests.ingest.gopro import track, with_track
@@ -147,5 +147,5 @@ def test_the_command_believes_two_cameras_that_agree(filmed, tmp_path):
 @pytest.mark.parametrize("order", ["ZXY", "YxZ", "XzY", "zxY"])  # HERO5, HERO7, MAX, HERO8
 def test_accelerometers_axes_are_blenders(filmed, order):
     for up in filmed[2]:
-        found = accelerometer._stored_up(list(gpmf._streams(track(up, order))))
+        found = accelerometer._stored_up(list(accelerometer._streams(track(up, order))))
         np.testing.assert_allclose(found * [1, -1, -1], up, atol=2e-3)

@@ -9,12 +9,11 @@ import cv2
 import numpy as np
 import pytest
 
-from gof.capture.annotate import annotate
+from gof.capture.annotate import annotate, board_mask
 from gof.capture.calibration import calibrate, sharpest
 from gof.capture.charuco import POINTS_PER_MM, Charuco, draw_pdf, draw_svg, page
 from gof.capture.locate import Summary, locate
-from gof.capture.mask import board_mask
-from gof.capture.sensors import sensor
+from gof.capture.sync import sensor
 from gof.capture.synthetic import SyntheticShot, render, write_video
 from gof.capture.template import BoardTemplate
 from gof.commands.cli import main as gof

@@ -11,15 +11,15 @@ import pytest
 
 from gof.capture import clock, counter
 from gof.capture.aligned import align, place
+from gof.capture.clock import positions
 from gof.capture.decode import DecodeOptions, decode
-from gof.capture.doubts import doubts, refusal
 from gof.capture.flame_clock import FlameLight, NoFlameClock, estimate_times, find_offset, read_light
-from gof.capture.hidden import positions
 from gof.capture.signals import make_signals, read_signals
 from gof.capture.sync import synchronise
 from gof.capture.synthetic import SyntheticShot, render, write_video
 from gof.capture.template import BoardTemplate
 from gof.capture.times import CounterReading, DecodingCost, FrameTime, SyncedVideo, VideoTimes
+from gof.capture.warnings import refusal, warnings_of
 from gof.commands.cli import main as gof
 from gof.core.errors import GofError
 from gof.footage.videos import stored_frames
@@ -111,20 +111,20 @@ def test_strips_that_leave_the_picture_do_not_bend_the_fit(clips, scene):
     offsets = {name: near.offset_us for name, near in take.nearest_frames.items()}
     assert offsets["cam_2"] - offsets["cam_1"] == pytest.approx({"2": 724, "6": 740}[scene[-1]], abs=60)
     assert all(abs(offset) < 1300 for offset in offsets.values())  # the authors paired nearest frames
-    assert doubts(list(take.cameras)) == []
+    assert warnings_of(list(take.cameras)) == []
 
 
 def test_what_stands_out_is_named():
     take = [camera("a"), camera("b", row_time_us=6.5, rms_us=16.3, systematic_us=19.7), camera("c")]
-    said = "\n".join(doubts(take))
+    said = "\n".join(warnings_of(take))
     assert (
         "b: its row time, 6.50" in said and "b: its rms is 16.3" in said and "b: its systematic error is 19.7" in said
     )
     assert "a:" not in said and "c:" not in said
-    assert doubts([camera("a"), camera("b", row_time_us=4.14), camera("c")]) == []
-    assert "2 before frame 20, 1 before frame 57" in doubts([camera("a", dropped_before={"20": 2, "57": 1})])[0]
-    assert "different rates" in doubts([camera("a"), camera("b", fps=200.0)])[0]
-    assert "read left" in "\n".join(doubts([camera("a"), camera("b", readout="left"), camera("c")]))
+    assert warnings_of([camera("a"), camera("b", row_time_us=4.14), camera("c")]) == []
+    assert "2 before frame 20, 1 before frame 57" in warnings_of([camera("a", dropped_before={"20": 2, "57": 1})])[0]
+    assert "different rates" in warnings_of([camera("a"), camera("b", fps=200.0)])[0]
+    assert "read left" in "\n".join(warnings_of([camera("a"), camera("b", readout="left"), camera("c")]))
 
 
 def with_figures(figures: dict) -> SyncedVideo:
@@ -141,10 +141,10 @@ def test_every_figure_has_a_limit():
         (dict(count=CounterReading(1, 1.0, 9)), "only 9 readings"),
         (dict(exposure_us=3900.0), "its exposure, about 3900 us"),
     ):
-        found = doubts([with_figures(figures)], period_us=4000.0)
+        found = warnings_of([with_figures(figures)], period_us=4000.0)
         assert len(found) == 1 and found[0].startswith("a: ") and said in found[0]
     for fine in (dict(fps=239.76, container_fps=30.0), dict(fps=29.97, container_fps=29.97), dict(exposure_us=3000.0)):
-        assert doubts([with_figures(fine)], period_us=4000.0) == []
+        assert warnings_of([with_figures(fine)], period_us=4000.0) == []
     assert refusal(5.0, 2.0, 3, 100) is None
     assert "rms is 140 us" in refusal(140.0, 2.0, 0, 100) and "systematic error is 101 us" in refusal(
         5.0, 101.0, 0, 100

@@ -12,8 +12,7 @@ from gof.capture.decode import DecodeOptions
 from gof.capture.ring_board import RingBoard, load_board
 from gof.capture.ring_decode import decode_ring
 from gof.capture.strips import NotDecodable
-from gof.capture.synthetic import SyntheticShot, write_video
-from gof.capture.synthetic_ring import RingShot, render_ring
+from gof.capture.synthetic import RingShot, SyntheticShot, render_ring, write_video
 from gof.capture.template import BoardTemplate
 from gof.commands.cli import main as gof
 from gof.core.errors import DataFormatError

@@ -89,7 +89,7 @@ def test_only_touched_chunks_are_read(store, monkeypatch):
     monkeypatch.setattr(
         VelocitySequence, "chunk", lambda self, index, number: read.append(number) or original(self, index, number)
     )
-    dve_sequence(g, store, [0.0], controls=False)
+    dve_sequence(g, store, [0.0], trivial_baselines=False)
     # x 0.2 m is cell 95, y -0.2 cell 15, z 0.3 cell 95: with the spread of 10 cells, chunk (1, 0, 1) and no other
     assert read == [(1, 0, 1)]
 

@@ -256,8 +256,8 @@ def test_pooled_and_frame_scores():
     assert score.l2 == pytest.approx(pooled) and score.l2 != pytest.approx(np.mean([s.l2 for s in single]))
     values = [s.l2 for s in single]
     assert score.spread("l2") == (pytest.approx(np.mean(values)), pytest.approx(np.std(values)), 3)
-    lean = dve_sequence(g, sequence, controls=False)
-    assert lean.pooled == score.pooled and lean.frames == score.frames and not lean.controls
+    lean = dve_sequence(g, sequence, trivial_baselines=False)
+    assert lean.pooled == score.pooled and lean.frames == score.frames and not lean.trivial_baselines
 
 
 def test_undefined_frames_are_skipped_in_the_mean_and_counted():
@@ -288,12 +288,12 @@ def test_missing_frames_and_foreign_clocks(tmp_path):
 
 def test_units_are_questioned():
     g, sequence = moving_case()
-    assert sanity_warnings(dve_sequence(g, sequence, controls=False)) == []
+    assert sanity_warnings(dve_sequence(g, sequence, trivial_baselines=False)) == []
     fast = make_gaussians(60, velocity=1000 * waves(2.0)["abc"][0](g.position.astype(float)))
-    hints = sanity_warnings(dve_sequence(fast, Sequence([0.0], sequence.at), controls=False))
+    hints = sanity_warnings(dve_sequence(fast, Sequence([0.0], sequence.at), trivial_baselines=False))
     assert "times the true ones" in hints[0]
     box = Sequence([0.0], lambda t: Analytic(np.ones_like, -0.01, 0.01))
-    assert "centimetres" in sanity_warnings(dve_sequence(make_gaussians(60), box, controls=False))[0]
+    assert "centimetres" in sanity_warnings(dve_sequence(make_gaussians(60), box, trivial_baselines=False))[0]
 
 
 @pytest.mark.parametrize("factor,word", [(100, "cm/s"), (1e-3, "millisecond")])
@@ -301,9 +301,9 @@ def test_velocities_in_centimetres_or_per_millisecond_are_questioned(factor, wor
     g, sequence = moving_case()
     V = waves(2.0)["abc"][0]
     right = make_gaussians(60, velocity=V(g.position.astype(float)))
-    assert sanity_warnings(dve_sequence(right, Sequence([0.0], sequence.at), controls=False)) == []
+    assert sanity_warnings(dve_sequence(right, Sequence([0.0], sequence.at), trivial_baselines=False)) == []
     wrong = make_gaussians(60, velocity=factor * right.velocity)
-    assert word in sanity_warnings(dve_sequence(wrong, Sequence([0.0], sequence.at), controls=False))[0]
+    assert word in sanity_warnings(dve_sequence(wrong, Sequence([0.0], sequence.at), trivial_baselines=False))[0]
 
 
 def test_sums_add_up():

@@ -67,20 +67,20 @@ def test_without_correlation_it_is_students_t():
     found, known = over_frames(series, 0), stats.ttest_1samp(series, 0)
     interval = known.confidence_interval(0.95)
     assert (found.mean - found.half_width, found.mean + found.half_width) == pytest.approx(tuple(interval), rel=1e-12)
-    assert found.doubt == pytest.approx(known.pvalue, rel=1e-12)
+    assert found.p_value == pytest.approx(known.pvalue, rel=1e-12)
 
 
 def test_paired_frames_tell_apart_what_means_do_not():
     clip = correlated(60, 2, 1)[0]
     ours, theirs = clip, clip + 0.2 + 0.05 * correlated(60, 2, 1, seed=5)[0]
-    assert over_frames(ours - theirs, 2).doubt < 1e-6
+    assert over_frames(ours - theirs, 2).p_value < 1e-6
     assert over_frames(ours, 2).half_width > 0.2
 
 
 def test_scenes_are_a_sample_from_three_on():
     scenes = [Estimate(mean, 0.01, 5) for mean in (0.1, 0.4, 0.2, 0.3)]
     known = stats.ttest_1samp([0.1, 0.4, 0.2, 0.3], 0)
-    assert over_scenes(scenes).doubt == pytest.approx(known.pvalue, rel=1e-12)
+    assert over_scenes(scenes).p_value == pytest.approx(known.pvalue, rel=1e-12)
     two = over_scenes(scenes[:2])
     assert (two.standard_error, two.degrees) == (pytest.approx(0.01 / np.sqrt(2)), 5)
     assert over_scenes([Estimate(0.1, None, 0)]).half_width is None
@@ -96,24 +96,24 @@ def test_seeds_add_their_own_spread():
 
 def test_holms_procedure():
     # Holm's own rule on p = 0.010, 0.020, 0.030: 0.010 <= 0.05 / 3, 0.020 <= 0.05 / 2, 0.030 <= 0.05
-    doubts = np.array([[1, 0.010, 0.030], [0.010, 1, 0.020], [0.030, 0.020, 1]])
-    assert apart(doubts).sum() == 6
-    doubts[0, 1] = doubts[1, 0] = 0.018  # the smallest fails, and with it all
-    assert not apart(doubts).any()
+    p_values = np.array([[1, 0.010, 0.030], [0.010, 1, 0.020], [0.030, 0.020, 1]])
+    assert apart(p_values).sum() == 6
+    p_values[0, 1] = p_values[1, 0] = 0.018  # the smallest fails, and with it all
+    assert not apart(p_values).any()
 
 
 def test_methods_that_cannot_be_told_apart_share_a_rank():
-    doubts = np.array([[1, 0.4, 1e-4], [0.4, 1, 0.3], [1e-4, 0.3, 1]])
-    assert ranks([0.30, 0.35, 0.50], doubts, better=-1) == [(1, 2), (1, 3), (2, 3)], "the middle one is behind nobody"
-    assert ranks([0.30, 0.35, 0.50], doubts, better=1) == [(2, 3), (1, 3), (1, 2)]
+    p_values = np.array([[1, 0.4, 1e-4], [0.4, 1, 0.3], [1e-4, 0.3, 1]])
+    assert ranks([0.30, 0.35, 0.50], p_values, better=-1) == [(1, 2), (1, 3), (2, 3)], "the middle one is behind nobody"
+    assert ranks([0.30, 0.35, 0.50], p_values, better=1) == [(2, 3), (1, 3), (1, 2)]
 
 
 def test_bad_points():
     assert over_frames([0.5], 3).half_width is None
-    assert over_frames([0.5], 3).doubt == 1
+    assert over_frames([0.5], 3).p_value == 1
     same = over_frames([0.5] * 8, 3)
-    assert (same.half_width, same.doubt) == (0, 0)
-    assert over_frames([0.0] * 8, 3).doubt == 1
+    assert (same.half_width, same.p_value) == (0, 0)
+    assert over_frames([0.0] * 8, 3).p_value == 1
     assert np.isfinite(over_frames(np.arange(6.0), 1e9).half_width), "a clip shorter than an eddy"
     for values, eddy in (([], 1), ([1.0, 2.0], np.inf), ([1.0], -1)):
         with pytest.raises(GofError):

@@ -20,7 +20,7 @@ from gof.core.gaussians import TransientGaussians
 from gof.core.records import read_record, write_record
 from gof.evaluate.leaderboard import Leaderboard, best_rows, collect, pareto, rows_of, to_csv, to_markdown, used_columns
 from gof.host.terminal import console
-from gof.look.streams import max_projection, volume, x_slice
+from gof.look.boards import max_projection, volume, x_slice
 from tests.evaluate.synthetic_flame import flame_dataset
 
 pytestmark = pytest.mark.long
@@ -59,15 +59,17 @@ def test_rows(results):
     exact, slow, gone = rows[:3]
     assert exact.name.startswith("Exact") and (exact.train_s, slow.train_s, gone.train_s) == (100, 10, None)
     assert exact.l2 < 0.02 < slow.l2 and slow.speed_ratio == pytest.approx(0.5, abs=0.02) and exact.evaluate_s > 0
-    assert len(rows) == 3, "no control of one of them stands for all"
+    assert len(rows) == 3, "no trivial baseline of one of them stands for all"
     for name, row in zip(("exact", "slow", "gone"), rows, strict=True):
         scores = json.loads((results / name / "scores.json").read_text())
-        own = [control for kind, control in scores["controls"].items() if kind != "true_centre"]
-        assert row.baseline_l2 == min(control["l2"] for control in own)
-        assert row.baseline_cos == max(control["cos_sim"] for control in own)
+        own = [
+            trivial_baseline for kind, trivial_baseline in scores["trivial_baselines"].items() if kind != "true_centre"
+        ]
+        assert row.baseline_l2 == min(trivial_baseline["l2"] for trivial_baseline in own)
+        assert row.baseline_cos == max(trivial_baseline["cos_sim"] for trivial_baseline in own)
     alone = rows_of(collect([results / "exact"]))
     assert [r.name for r in alone[1:]] == [
-        f"control: {n}" for n in ("zero", "random", "shuffled", "constant", "height_mean", "true_centre")
+        f"trivial: {n}" for n in ("zero", "random", "shuffled", "constant", "height_mean", "true_centre")
     ]
     best = best_rows(rows)
     assert best["l2"] == 0 and best["train_s"] == 1 and "speed_ratio" not in best and "gaussians" not in best

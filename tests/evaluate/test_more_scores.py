@@ -11,8 +11,7 @@ from gof.core.errors import DataFormatError, GofError, MissingDependencyError, N
 from gof.dataset import Dataset
 from gof.evaluate import Extras, evaluate
 from gof.evaluate.depth import read_depth, rmse_depth
-from gof.evaluate.image import temporal_l2
-from gof.evaluate.perceptual import TRUNK, flip, lpips
+from gof.evaluate.image import TRUNK, flip, lpips, temporal_l2
 from tests.evaluate.synthetic_flame import flame_dataset
 
 

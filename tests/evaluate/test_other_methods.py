@@ -85,11 +85,11 @@ def check(scores, method, state):
     assert scores["dve"]["l2"] == pytest.approx(l2, rel=2e-5) and scores["dve"]["cos_sim"] == pytest.approx(
         cos_sim, abs=2e-5
     )
-    assert scores["dve"]["weight_outside"] == 0 and scores["controls"]["true_centre"]["l2"] == pytest.approx(
+    assert scores["dve"]["weight_outside"] == 0 and scores["trivial_baselines"]["true_centre"]["l2"] == pytest.approx(
         0, abs=1e-5
     )
     assert (
-        scores["controls"]["zero"]["l2"] == pytest.approx(1, rel=1e-12)
+        scores["trivial_baselines"]["zero"]["l2"] == pytest.approx(1, rel=1e-12)
         and scores["psnr"] > 0
         and scores["ssim_flame"] is not None
     )
@@ -118,7 +118,7 @@ def test_the_papers_checkpoint(dataset, tmp_path, capsys):
     check(scores, "authors", authors_state(raw))
     assert scores["dynamic_gaussians"] == raw["dynamic"].sum()
     printed = " ".join(capsys.readouterr().out.split())
-    assert "scale bounds from" in printed and "control: constant" in printed
+    assert "scale bounds from" in printed and "trivial: constant" in printed
 
 
 def test_4dgs_of_yang(dataset, tmp_path):

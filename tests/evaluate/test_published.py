@@ -5,14 +5,13 @@ from dataclasses import fields
 import numpy as np
 import pytest
 
-from gof.commands.evaluate import beaten_controls, published_table
+from gof.commands.evaluate import beaten_trivial_baselines, published_table
 from gof.commands.evaluate import main as evaluate_command
 from gof.core.gaussians import TransientGaussians
 from gof.dataset import Dataset
 from gof.dataset.leaks import MadeFrom
 from gof.evaluate import Scores
-from gof.evaluate.leaderboard import EvaluatedResult, best_rows, rows_of, to_csv, to_markdown
-from gof.evaluate.published import (
+from gof.evaluate.authors_figures import (
     PublishedFigures,
     PublishedFrame,
     drawn_disparity,
@@ -21,8 +20,9 @@ from gof.evaluate.published import (
     published_figures,
     rmse_disparity,
 )
-from gof.evaluate.scores import ControlScore, Origin, VelocityScore
-from gof.look.leaderboard_page import to_html
+from gof.evaluate.leaderboard import EvaluatedResult, best_rows, rows_of, to_csv, to_markdown
+from gof.evaluate.scores import Origin, TrivialScore, VelocityScore
+from gof.look.boards import leaderboard_html
 from tests.conftest import look_at
 from tests.reconstruct.rising_flame import column, write_flame
 
@@ -159,7 +159,7 @@ def test_the_command_writes_and_prints_them(scored):
     assert not published_table(Scores(gaussians=1, dynamic_gaussians=1, import_=Origin("memory"))).row_count
 
 
-def with_controls(l2, cos_sim, **controls) -> Scores:
+def with_trivial_baselines(l2, cos_sim, **trivial_baselines) -> Scores:
     """Scores of which only these figures matter."""
     undefined = {f.name: None for f in fields(VelocityScore)}
     return Scores(
@@ -167,27 +167,32 @@ def with_controls(l2, cos_sim, **controls) -> Scores:
         dynamic_gaussians=1,
         import_=Origin("memory"),
         dve=VelocityScore(**undefined | {"l2": l2, "cos_sim": cos_sim}),
-        controls={
-            name: ControlScore(**{f.name: None for f in fields(ControlScore)} | {"l2": a, "cos_sim": b})
-            for name, (a, b) in controls.items()
+        trivial_baselines={
+            name: TrivialScore(**{f.name: None for f in fields(TrivialScore)} | {"l2": a, "cos_sim": b})
+            for name, (a, b) in trivial_baselines.items()
         },
     )
 
 
-def test_every_score_says_which_controls_it_beats():
-    controls = {"zero": (1.0, None), "constant": (0.56, 0.9), "height_mean": (0.48, 0.8), "true_centre": (0.1, 0.99)}
-    assert beaten_controls(with_controls(0.5, 0.85, **controls)) == [
+def test_every_score_says_which_trivial_baselines_it_beats():
+    trivial_baselines = {
+        "zero": (1.0, None),
+        "constant": (0.56, 0.9),
+        "height_mean": (0.48, 0.8),
+        "true_centre": (0.1, 0.99),
+    }
+    assert beaten_trivial_baselines(with_trivial_baselines(0.5, 0.85, **trivial_baselines)) == [
         "L2 beats zero, constant; not height_mean",
         "CosSim beats height_mean; not constant",
     ]
-    assert beaten_controls(with_controls(2.0, None, **controls)) == [
-        "L2 beats no control; not zero, constant, height_mean"
+    assert beaten_trivial_baselines(with_trivial_baselines(2.0, None, **trivial_baselines)) == [
+        "L2 beats no trivial baseline; not zero, constant, height_mean"
     ]
-    assert beaten_controls(with_controls(0.2, 0.95, constant=(0.5, 0.9))) == [
+    assert beaten_trivial_baselines(with_trivial_baselines(0.2, 0.95, constant=(0.5, 0.9))) == [
         "L2 beats constant",
         "CosSim beats constant",
     ]
-    assert not beaten_controls(Scores(gaussians=1, dynamic_gaussians=1, import_=Origin("memory")))
+    assert not beaten_trivial_baselines(Scores(gaussians=1, dynamic_gaussians=1, import_=Origin("memory")))
 
 
 def test_the_command_prints_what_is_beaten(scored, capsys):
@@ -223,8 +228,8 @@ def test_the_leaderboard_shows_theirs_and_lets_them_not_compete():
     assert [row.flow_prior for row in rows] == ["yes", "no", None, None] and "learned flow prior" in text
     header, *lines = to_csv(rows).splitlines()
     assert header.split(",")[3] == "other_footage" and ",0,1," in lines[3]
-    page = to_html(rows, [], "t")
-    assert "what its\nauthors published" in page and 'class="control"><td data-value="Gaussians on Fire' in page
+    page = leaderboard_html(rows, [], "t")
+    assert "what its\nauthors published" in page and 'class="grey"><td data-value="Gaussians on Fire' in page
     alone = rows_of([result("a", None)])
     assert len(alone) == 1, "without these figures nothing of theirs is shown"
-    assert "authors published" not in to_html(alone, [], "t")
+    assert "authors published" not in leaderboard_html(alone, [], "t")

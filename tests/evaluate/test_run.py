@@ -53,12 +53,12 @@ def test_worse_results_score_worse_in_what_they_get_wrong(flame):
     assert dim.dve.l2 == pytest.approx(right.dve.l2, abs=1e-4)  # a common factor of the weights cancels
 
 
-def test_a_gas_that_is_faster_than_its_light_is_scored_and_light_is_a_control(flame):
+def test_a_gas_that_is_faster_than_its_light_is_scored_and_light_is_a_trivial_baseline(flame):
     """The light as it is, at half of the gas' speed: the result is right, its light half of the truth off."""
     _, dataset, truth = flame
     scores = evaluate(replace(truth, velocity=0.5 * truth.velocity, gas_velocity=truth.velocity), dataset, images=False)
-    assert scores.dve.l2 < 0.05 and scores.controls["light"].l2 == pytest.approx(0.5, abs=0.05)
-    assert scores.dve.skill_over_light == pytest.approx(1 - (scores.dve.l2 / scores.controls["light"].l2) ** 2)
+    assert scores.dve.l2 < 0.05 and scores.trivial_baselines["light"].l2 == pytest.approx(0.5, abs=0.05)
+    assert scores.dve.skill_over_light == pytest.approx(1 - (scores.dve.l2 / scores.trivial_baselines["light"].l2) ** 2)
     assert evaluate(truth, dataset, images=False).dve.skill_over_light is None
 
 
@@ -84,10 +84,10 @@ def test_command_line(flame, capsys):
         == 0
     )
     printed = capsys.readouterr().out
-    assert "CosSim" in printed and "control: constant" in printed and "plate" in printed
+    assert "CosSim" in printed and "trivial: constant" in printed and "plate" in printed
     scores = Scores.read(out / "scores.json")
     assert scores == Scores.read(extra)
-    assert {"zero", "random", "constant"} <= set(scores.controls) and scores.dve.l2 < 0.02
+    assert {"zero", "random", "constant"} <= set(scores.trivial_baselines) and scores.dve.l2 < 0.02
     with pytest.raises(DataFormatError):
         main([str(folder / "nothing.npz"), "--dataset", str(folder / "data")])
 
@@ -95,7 +95,7 @@ def test_command_line(flame, capsys):
 def test_without_velocity_truth_or_masks(tmp_path):
     truth = flame_dataset(tmp_path / "real", velocity=False, masks=False)
     scores = evaluate(truth, Dataset.open(tmp_path / "real"))
-    assert scores.dve is None and scores.controls == {} and "no true velocity" in scores.warnings[0]
+    assert scores.dve is None and scores.trivial_baselines == {} and "no true velocity" in scores.warnings[0]
     assert scores.psnr > 45 and scores.psnr_flame is None and scores.psnr_flame_plate is None
 
 
@@ -125,9 +125,9 @@ def test_other_methods_through_the_whole_path(flame, tmp_path):
     assert sampled.dve.l2 == pytest.approx(original.dve.l2, abs=2e-3) and sampled.psnr == pytest.approx(
         original.psnr, abs=0.1
     )
-    assert set(sampled.controls) == set(original.controls)
+    assert set(sampled.trivial_baselines) == set(original.trivial_baselines)
     for name in ("zero", "constant", "height_mean", "true_centre", "shuffled"):
-        assert sampled.controls[name].l2 == pytest.approx(original.controls[name].l2, abs=2e-2)
+        assert sampled.trivial_baselines[name].l2 == pytest.approx(original.trivial_baselines[name].l2, abs=2e-2)
 
     own_world = np.eye(4)
     own_world[:3, :3] = 0.4 * np.array([[0, 1, 0], [0, 0, 1], [1, 0, 0.0]])

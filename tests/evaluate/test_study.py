@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 
 from gof.core.rotations import rotation_matrices
-from gof.evaluate.closed_forms import abc, gaussian_vortex, linear, taylor_green
-from gof_benchmark.studies.dve import LINES, gaussians, main
+from gof_benchmark.studies.dve import LINES, abc, gaussian_vortex, gaussians, linear, main, taylor_green
 from tests.look.printed import marks, texts
 
 pytestmark = pytest.mark.long

@@ -14,8 +14,7 @@ from gof.dataset import Dataset
 from gof.dataset.leaks import MadeFrom
 from gof.evaluate.scores import Scores
 from gof.evaluate.scoring import evaluate
-from gof.evaluate.submission import Run, Submission, picture_file, write_pictures
-from gof.evaluate.submission_check import check
+from gof.evaluate.submission import Run, Submission, check, picture_file, write_pictures
 from tests.evaluate.synthetic_flame import flame_dataset
 
 pytestmark = pytest.mark.long

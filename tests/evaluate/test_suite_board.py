@@ -16,8 +16,8 @@ from gof.evaluate.method import AboutMethod
 from gof.evaluate.scores import FrameScore, PictureScore, Scores
 from gof.evaluate.suite_board import Figure, ScoredScene, SuiteBoard, board, difference
 from gof.evaluate.training_curve import TrainingCurve
-from gof.look.suite_page import marks_of, remark, to_html, to_markdown
-from gof.on_cpu.curve import Curve
+from gof.look.boards import marks_of, remark, suite_html, suite_markdown
+from gof.on_cpu.launch import Curve
 
 GOLDEN = Scores.read(Path(__file__).parents[1] / "golden/gof-scores.json")
 FRAMES = 36
@@ -96,7 +96,7 @@ def test_the_mean_and_its_interval_are_those_of_the_scenes():
     known = stats.ttest_1samp(means, 0).confidence_interval(0.95)
     assert figure.mean == pytest.approx(np.mean(means))
     assert 2 * figure.half_width == pytest.approx(known.high - known.low)
-    assert figure.rank is None, "one method competes with nobody"
+    assert figure.rank is None, "one method is not ranked"
 
 
 def test_the_same_frames_are_compared():
@@ -104,15 +104,15 @@ def test_the_same_frames_are_compared():
     here = scene("a", one=0.0, two=0.02)
     wave = 0.02 + 0.2 * np.sin(np.arange(FRAMES))
     uneven = replace(here, runs=here.runs | {"two": (result("two", 0.5 + CLIPS["a"] + wave),)})
-    assert difference("l2", "one", "two", here).doubt < 1e-9
-    assert difference("l2", "one", "two", uneven).doubt > 0.1
+    assert difference("l2", "one", "two", here).p_value < 1e-9
+    assert difference("l2", "one", "two", uneven).p_value > 0.1
     assert difference("l2", "one", "two", here).mean == pytest.approx(-0.02)
 
 
 def test_seeds_that_scatter_make_a_difference_doubtful():
     sure = scene("a", one=[0.0, 0.001, -0.001], two=[0.03, 0.031, 0.029])
     unsure = scene("a", one=[0.0, 0.05, -0.05], two=[0.03, 0.08, -0.02])
-    assert difference("l2", "one", "two", sure).doubt < 0.01 < difference("l2", "one", "two", unsure).doubt
+    assert difference("l2", "one", "two", sure).p_value < 0.01 < difference("l2", "one", "two", unsure).p_value
     figure = rows(board("t", methods("one", "two"), [unsure]))["one"].figures["l2"]
     assert figure.seed_sd == pytest.approx(0.05)
 
@@ -135,7 +135,7 @@ def test_a_mean_over_fewer_scenes_says_so_on_the_page():
         scene("c", full=0, other=0.1),
     ]
     found = board("t", methods("full", "other", "part"), scenes)
-    page, table = to_html(found, {}), to_markdown(found)
+    page, table = suite_html(found, {}), suite_markdown(found)
     assert page.count("<small>in 1 of 3 scenes</small>") == 1
     assert re.search(r"^\| \*part\* .*\(in 1 of 3 scenes\) \| poses \| nothing \|", table, re.MULTILINE)
     assert "| full | poses | nothing |" in table
@@ -145,50 +145,52 @@ def test_a_mean_over_fewer_scenes_says_so_on_the_page():
     assert "is ranked here" not in page
 
 
-def test_where_nobody_is_everywhere_controls_stay_and_it_is_said():
+def test_where_nobody_is_everywhere_trivial_baselines_stay_and_it_is_said():
     found = board("t", methods("one", "two"), [scene("a", one=0.0), scene("b", two=0.1)])
-    assert not any(row.competes for row in found.rows) and "so none is ranked here" in to_html(found, {})
-    zero = rows(found)["control: zero"]
+    assert not any(row.competes for row in found.rows) and "so none is ranked here" in suite_html(found, {})
+    zero = rows(found)["trivial: zero"]
     assert zero.scenes == 2 and zero.what.endswith("on the Gaussians of one, then two")
-    page = to_html(found, {})
-    assert [alone.controls_on for alone in found.scenes] == ["one", "two"]
+    page = suite_html(found, {})
+    assert [alone.trivial_baselines_on for alone in found.scenes] == ["one", "two"]
     for alone in found.scenes:
-        assert alone.controls["control: zero"]["l2"].mean == pytest.approx(1, abs=1e-6)
-        assert alone.controls["control: zero"]["l2"].rank is None
-    assert page.count('<tr class="control"><td>control: zero</td>') == 2, "in each scene's table"
+        assert alone.trivial_baselines["trivial: zero"]["l2"].mean == pytest.approx(1, abs=1e-6)
+        assert alone.trivial_baselines["trivial: zero"]["l2"].rank is None
+    assert page.count('<tr class="grey"><td>trivial: zero</td>') == 2, "in each scene's table"
 
 
-def test_controls_are_of_a_flame_alone_if_there_is_one():
-    """The room that a whole scene brings along does not move: a control on it says nothing of flames."""
-    room = replace(GOLDEN.controls["constant"], l2_frame_mean=0.95)
+def test_trivial_baselines_are_of_a_flame_alone_if_there_is_one():
+    """The room that a whole scene brings along does not move: a trivial baseline on it says nothing of flames."""
+    room = replace(GOLDEN.trivial_baselines["constant"], l2_frame_mean=0.95)
     scenes = []
     for name in "ab":
         here = drawn(scene(name, whole=0.3, flame=0.1), whole=False, flame=True)
         (whole,) = here.runs["whole"]
-        whole = replace(whole, scores=replace(whole.scores, controls=GOLDEN.controls | {"constant": room}))
+        whole = replace(
+            whole, scores=replace(whole.scores, trivial_baselines=GOLDEN.trivial_baselines | {"constant": room})
+        )
         scenes.append(replace(here, runs=here.runs | {"whole": (whole,)}))
-    found = rows(board("t", methods("whole", "flame"), scenes))["control: constant"]
+    found = rows(board("t", methods("whole", "flame"), scenes))["trivial: constant"]
     assert found.what.endswith("on the Gaussians of flame")
-    assert found.figures["l2"].mean == GOLDEN.controls["constant"].l2_frame_mean != 0.95
+    assert found.figures["l2"].mean == GOLDEN.trivial_baselines["constant"].l2_frame_mean != 0.95
     alone = rows(board("t", methods("whole"), [replace(s, runs={"whole": s.runs["whole"]}) for s in scenes]))
-    assert alone["control: constant"].figures["l2"].mean == pytest.approx(0.95)
+    assert alone["trivial: constant"].figures["l2"].mean == pytest.approx(0.95)
 
 
-def test_controls_are_always_there():
+def test_trivial_baselines_are_always_there():
     found = rows(board("t", methods("one"), [scene("a", one=0.0), scene("b", one=0.1)]))
-    assert [name for name in found if name.startswith("control")] == [
-        "control: zero",
-        "control: constant",
-        "control: height_mean",
-        "control: true_centre",
-        "control: fire-free plate",
+    assert [name for name in found if name.startswith("trivial: ")] == [
+        "trivial: zero",
+        "trivial: constant",
+        "trivial: height_mean",
+        "trivial: true_centre",
+        "trivial: fire-free plate",
     ]
-    assert not any(found[name].competes for name in found if name.startswith("control"))
-    assert found["control: zero"].figures["l2"].mean == pytest.approx(1, abs=1e-6)
-    assert found["control: height_mean"].figures["fluctuation_l2"].mean == 1
-    assert found["control: zero"].figures["vorticity_l2"].mean == 1
-    assert found["control: constant"].figures["divergence_l2"].mean == pytest.approx(0.03)  # as in the golden file
-    assert found["control: fire-free plate"].figures["psnr_flame"].mean == pytest.approx(GOLDEN.psnr_flame_plate)
+    assert not any(found[name].competes for name in found if name.startswith("trivial: "))
+    assert found["trivial: zero"].figures["l2"].mean == pytest.approx(1, abs=1e-6)
+    assert found["trivial: height_mean"].figures["fluctuation_l2"].mean == 1
+    assert found["trivial: zero"].figures["vorticity_l2"].mean == 1
+    assert found["trivial: constant"].figures["divergence_l2"].mean == pytest.approx(0.03)  # as in the golden file
+    assert found["trivial: fire-free plate"].figures["psnr_flame"].mean == pytest.approx(GOLDEN.psnr_flame_plate)
 
 
 def test_frames_that_one_has_not_are_left_out_of_the_pair():
@@ -210,11 +212,11 @@ def test_page_and_tables(tmp_path):
     found = board("A <b>title</b>", methods("one", "two"), scenes)
     write_record(tmp_path / "board.json", found)
     assert read_record(SuiteBoard, tmp_path / "board.json") == found
-    page = to_html(found, {})
+    page = suite_html(found, {})
     assert "A &lt;b&gt;title&lt;/b&gt;" in page and "3 of 3 wins" in page and "seeds ±" in page
     assert "given: poses" in page and "knew before: nothing" in page and page.count("<h3>") == 3
     assert not re.search(r'(src|href)="(?!data:)', page), "nothing is fetched"
-    assert "| **0.5" in to_markdown(found) and "*control: zero*" in to_markdown(found)
+    assert "| **0.5" in suite_markdown(found) and "*trivial: zero*" in suite_markdown(found)
 
 
 def test_the_page_says_how_a_method_is_drawn_and_where_it_is_absent():
@@ -229,10 +231,10 @@ def test_the_page_says_how_a_method_is_drawn_and_where_it_is_absent():
         "flame": True,
         "whole": False,
     }
-    page = to_html(found, {})
+    page = suite_html(found, {})
     assert page.count("a flame alone, drawn over") == 1 and page.count("drawn as it is, as a whole scene") == 1
     assert re.findall(r"<td[^>]*>(\w+)<small>(in 1 of 2 scenes)</small>", page) == [("whole", "in 1 of 2 scenes")]
-    assert "*whole* (in 1 of 2 scenes)" in to_markdown(found)
+    assert "*whole* (in 1 of 2 scenes)" in suite_markdown(found)
 
 
 def test_frames_that_are_independent_are_called_so():
@@ -240,7 +242,7 @@ def test_frames_that_are_independent_are_called_so():
     found = board(
         "t", methods("one"), [replace(scene("a", one=0.1), eddy_time=EddyTime(0.0, False)), scene("b", one=0.1)]
     )
-    page = to_html(found, {})
+    page = suite_html(found, {})
     assert page.count("which count as independent") == 1 and page.count("of them long") == 1
     assert "eddy time 20 ms, so the clip is 17.5 of them long" in page  # 0.35 s
 
@@ -260,7 +262,7 @@ def test_curves_are_on_the_page(tmp_path):
     found = board("t", methods("one", "two"), [here, scene("b", one=0.1, two=0.2)])
     write_record(tmp_path / "board.json", found)
     assert read_record(SuiteBoard, tmp_path / "board.json") == found
-    page = to_html(found, {})
+    page = suite_html(found, {})
     assert page.count("Had the trainings converged?") == 1
     assert "<td>1000</td><td>500</td>" in page
     chart = page[page.index("<svg") : page.index("</svg>")]
@@ -277,12 +279,12 @@ def test_curves_are_on_the_page(tmp_path):
 @pytest.mark.parametrize(
     "text, named",
     [
-        ("step,loss\n10,1\n", "columns step, processor_seconds, loss"),
-        ("step,processor_seconds,loss\n", "holds no point"),
-        ("step,processor_seconds,loss\n10,1,nan\n", "above zero"),
-        ("step,processor_seconds,loss\n10,1,1\n10,2,1\n", "must rise"),
-        ("step,processor_seconds,loss\n10,1,x\n", "columns step"),
-        (f"step,processor_seconds,loss\n1{'0' * 400},1,1\n", "from 1e-30 to 1e30"),
+        ("step,loss\n10,1\n", "columns step, cpu_seconds, loss"),
+        ("step,cpu_seconds,loss\n", "holds no point"),
+        ("step,cpu_seconds,loss\n10,1,nan\n", "above zero"),
+        ("step,cpu_seconds,loss\n10,1,1\n10,2,1\n", "must rise"),
+        ("step,cpu_seconds,loss\n10,1,x\n", "columns step"),
+        (f"step,cpu_seconds,loss\n1{'0' * 400},1,1\n", "from 1e-30 to 1e30"),
     ],
 )
 def test_a_curve_that_is_none_is_refused(tmp_path, text, named):
@@ -319,7 +321,7 @@ def test_figures_beyond_sense_spoil_nobody_elses_row(wild, tmp_path):
 @pytest.mark.parametrize("row", ["1,1,1e308", "1,1,5e-324", "1,1e300,1", f"{10**400},1,1", "1,1,nan", "1,inf,1"])
 def test_numbers_that_no_training_has_are_refused(tmp_path, row):
     path = tmp_path / "curve.csv"
-    path.write_text(f"step,processor_seconds,loss\n{row}\n")
+    path.write_text(f"step,cpu_seconds,loss\n{row}\n")
     with pytest.raises(DataFormatError, match=r"curve\.csv: all numbers must be above zero, from 1e-30 to 1e30"):
         TrainingCurve.read(path)
 
@@ -327,10 +329,14 @@ def test_numbers_that_no_training_has_are_refused(tmp_path, row):
 def test_a_row_that_is_better_than_the_truth_allows_has_an_alarm():
     """L2 near 0, or below that of the true velocity at each centre of its own Gaussians."""
     honest, near_zero = result("honest", np.full(FRAMES, 0.4)), result("truth", np.full(FRAMES, 0.01))
-    bound = replace(GOLDEN.controls["constant"], l2=0.3, meaning="the truth at each centre")
+    bound = replace(GOLDEN.trivial_baselines["constant"], l2=0.3, meaning="the truth at each centre")
     low = result("low", np.full(FRAMES, 0.2))
     runs = {
-        name: (replace(one, scores=replace(one.scores, controls=GOLDEN.controls | {"true_centre": bound})),)
+        name: (
+            replace(
+                one, scores=replace(one.scores, trivial_baselines=GOLDEN.trivial_baselines | {"true_centre": bound})
+            ),
+        )
         for name, one in (("honest", honest), ("truth", near_zero), ("low", low))
     }
     here = ScoredScene("a", "test", EddyTime(0.02, False), tuple(0.01 * k for k in range(FRAMES)), runs)
@@ -338,19 +344,19 @@ def test_a_row_that_is_better_than_the_truth_allows_has_an_alarm():
     assert rows(found)["honest"].alarm == ""
     assert "is it the truth itself?" in rows(found)["truth"].alarm
     assert "0.2000 is below 0.3000" in rows(found)["low"].alarm
-    for page in (to_html(found, {}), to_markdown(found)):
+    for page in (suite_html(found, {}), suite_markdown(found)):
         assert "is it the truth itself?" in page and "below 0.3000" in page
 
 
 def test_the_page_says_whose_velocity_was_scored():
     honest = result("", np.full(FRAMES, 0.4))
-    gas = replace(GOLDEN, controls=GOLDEN.controls | {"light": GOLDEN.controls["constant"]})
-    light = replace(GOLDEN, controls={k: c for k, c in GOLDEN.controls.items() if k != "light"})
+    gas = replace(GOLDEN, trivial_baselines=GOLDEN.trivial_baselines | {"light": GOLDEN.trivial_baselines["constant"]})
+    light = replace(GOLDEN, trivial_baselines={k: c for k, c in GOLDEN.trivial_baselines.items() if k != "light"})
     runs = {
-        name: (replace(honest, name=name, scores=replace(honest.scores, controls=scores.controls)),)
+        name: (replace(honest, name=name, scores=replace(honest.scores, trivial_baselines=scores.trivial_baselines)),)
         for name, scores in (("says gas", gas), ("moves", light))
     }
     here = ScoredScene("a", "test", EddyTime(0.02, False), tuple(0.01 * k for k in range(FRAMES)), runs)
-    page = to_html(board("t", methods(*runs), [here]), {})
+    page = suite_html(board("t", methods(*runs), [here]), {})
     assert page.split("<b>says gas</b>")[1].split("</li>")[0].count("that of the gas, as the result says it") == 1
     assert page.split("<b>moves</b>")[1].split("</li>")[0].count("that of its Gaussians") == 1

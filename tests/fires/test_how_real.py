@@ -14,22 +14,20 @@ from gof.dataset import Dataset, DatasetDescription
 from gof.look.charts import COLOURS
 from gof_benchmark.fires import how_real
 from gof_benchmark.fires.flames import flame_of
-from gof_benchmark.fires.laws import (
-    ZONES,
-    heskestad_heat,
-    heskestad_height,
-    mccaffrey_speed,
-    puffing_law,
-)
 from gof_benchmark.fires.measures import (
+    ZONES,
     axis_columns,
     flame_height,
     flicker,
     heat_release_kw,
+    heskestad_heat,
+    heskestad_height,
     light_speed,
+    mccaffrey_speed,
     mean_over_time,
     power_law,
     puffing_frequency,
+    puffing_law,
     rise_speed,
     spectrum,
 )

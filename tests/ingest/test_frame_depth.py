@@ -14,8 +14,7 @@ from gof.dataset.leaks import MadeFrom
 from gof.evaluate import Extras, evaluate
 from gof.evaluate.depth import read_depth
 from gof.ingest import depth as d
-from gof.ingest import frame_depth
-from gof.ingest.frame_depth import write_frame_depths
+from gof.ingest.depth import write_frame_depths
 from tests.conftest import write_dataset
 from tests.ingest import scene
 
@@ -193,7 +192,7 @@ def test_the_networks_map_is_in_metres_by_stereo(filmed, tmp_path):
         try:
             weights = network(tmp_path / str(seed), seed)
             relative = d.monocular(picture, weights)
-            found = frame_depth._by_network(stereo, picture, weights)
+            found = d._by_network(stereo, picture, weights)
             break
         except GofError as e:
             assert "falls where stereo says nearer" in str(e) or "constant" in str(e)

@@ -6,7 +6,7 @@ import time
 import pytest
 
 from gof.core.errors import DataFormatError
-from gof.ingest import gpmf
+from gof.ingest import accelerometer
 from gof.ingest.accelerometer import read_tilt
 from tests.ingest.gopro import box, film
 
@@ -35,21 +35,21 @@ def test_entries_that_lie_deep_in_each_other_are_refused(tmp_path):
     """3000 deep in 24 kB; the sensor is not believed, and said, and the footage is still read."""
     path = film(tmp_path / "deep.mp4", nested(3000))
     with pytest.raises(DataFormatError, match="more than 8 deep"):
-        list(gpmf.streams(path))
+        list(accelerometer.streams(path))
     assert "deep.mp4: its track of sensor data (GPMF) is damaged" in read_tilt(path, "none").why
-    assert list(gpmf.streams(film(tmp_path / "flat.mp4", nested(4)))) == []
+    assert list(accelerometer.streams(film(tmp_path / "flat.mp4", nested(4)))) == []
 
 
 def test_tables_take_time_by_their_length_not_by_its_square(tmp_path):
-    """As many chunks and runs as are allowed: the square took minutes of a processor."""
-    count = gpmf.MOST_SAMPLES
+    """As many chunks and runs as are allowed: the square took minutes of a CPU."""
+    count = accelerometer.MOST_SAMPLES
     path = tables(tmp_path / "a.mp4", [8] * count, [(k + 1, 1, 1) for k in range(count)], [0] * count)
     begun = time.process_time()
-    assert list(gpmf.streams(path)) == []
+    assert list(accelerometer.streams(path)) == []
     assert time.process_time() - begun < 10
     same = tables(tmp_path / "b.mp4", [8] * count, [(2**32 - 1, 1, 1)] * count, [0] * count)
     with pytest.raises(DataFormatError, match="does not grow"):
-        list(gpmf.streams(same))
+        list(accelerometer.streams(same))
 
 
 def test_samples_lie_where_the_runs_say(tmp_path):
@@ -57,6 +57,6 @@ def test_samples_lie_where_the_runs_say(tmp_path):
     path = tables(tmp_path / "a.mp4", [100, 200, 300, 400], [(1, 2, 1), (3, 1, 1)], [1, 2, 3, 4, 5, 6])
     header = path.read_bytes()
     at = header.index(b"stbl") + 4
-    assert list(gpmf._places(header, at, len(header))) == [
+    assert list(accelerometer._places(header, at, len(header))) == [
         (100, 1), (101, 2), (200, 3), (203, 4), (300, 5), (400, 6),
     ]  # fmt: skip

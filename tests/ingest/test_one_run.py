@@ -9,7 +9,7 @@ import pytest
 
 from gof.commands import cli
 from gof.core.files import only_run_in
-from gof.ingest import pipeline, stored
+from gof.ingest import footage, pipeline
 from tests.ingest.test_picture_folders import moments, rig, words
 
 COUNT = 10
@@ -30,7 +30,7 @@ def contents(folder):
 
 def killed_at(arguments, frame):
     """Run `gof ingest`, and kill it when it has written so many pictures."""
-    save, count = stored.save_picture, 0
+    save, count = footage.save_picture, 0
 
     def counted(path, picture):
         nonlocal count
@@ -39,7 +39,7 @@ def killed_at(arguments, frame):
         if count == frame:
             os.kill(os.getpid(), signal.SIGKILL)
 
-    stored.save_picture = counted
+    footage.save_picture = counted
     cli.main(arguments)
 
 

@@ -30,11 +30,11 @@ def solved():
 def test_a_wrong_lens_is_doubted_and_the_right_one_is_not(solved):
     """Nothing but the matches tells: no board, no points."""
     rig, right = solved
-    assert right.doubts == ()
+    assert right.warnings == ()
     pictures = [draw(c)[0] for c in rig]
     wide = [replace(lens(c), K=lens(c).K * np.array([[0.6, 1, 1], [1, 0.6, 1], [1, 1, 1]])) for c in rig]
     found = sfm.solve([(pictures, [np.ones(p.shape[:2], bool) for p in pictures])], wide, NAMES)
-    assert "look too wide" in found.doubts[0]
+    assert "look too wide" in found.warnings[0]
 
 
 def board(rig, side=0.3, noise=0.0, scale=1.0):

@@ -7,10 +7,10 @@ import cv2
 import numpy as np
 import pytest
 
-from gof.ingest import accelerometer, gpmf
+from gof.ingest import accelerometer
 from gof.ingest.accelerometer import Tilt, read_tilt, up_from_tilts
+from gof.ingest.axes import up_from_points
 from gof.ingest.marked_points import MarkedPoint
-from gof.ingest.plumb import up_from_points
 from gof.ingest.sfm import PoseError
 from gof.ingest.up import Edges, angle_deg, cameras_up, up_from_board, up_from_edges
 from tests.conftest import look_at
@@ -176,7 +176,7 @@ def test_a_real_gopros_gravity_and_its_accelerometer_agree(monkeypatch):
     sample = Path(os.environ["GOF_GOPRO_SAMPLE"])
     by_gravity = read_tilt(sample, "none").up
     np.testing.assert_allclose(by_gravity, [0, -0.992, -0.12], atol=0.02)
-    raw = [stream for stream in gpmf.streams(sample) if "ACCL" in stream]
+    raw = [stream for stream in accelerometer.streams(sample) if "ACCL" in stream]
     assert "moved" in accelerometer._stored_up(raw), "it is carried"
     monkeypatch.setattr(accelerometer, "MOST_SHAKE", 9.0)
     assert angle_deg(accelerometer._stored_up(raw), by_gravity) < 3

@@ -9,7 +9,7 @@ import pytest
 
 from gof.commands.convert import main
 from gof.core.errors import DataFormatError
-from gof.io import gltf, ply_frames
+from gof.io import convert, gltf
 from gof.io.importers import ImportOptions, read_result
 from gof.render.reference import rotation_matrix
 from tests.conftest import random_gaussians
@@ -243,7 +243,7 @@ def test_a_sequence_that_fails_leaves_nothing(tmp_path, monkeypatch):
     def full(*_):
         raise OSError("no room")
 
-    monkeypatch.setattr(ply_frames, "write", full)
+    monkeypatch.setattr(convert, "write", full)
     with pytest.raises(OSError, match="no room"):
-        ply_frames.save(random_gaussians(20), tmp_path / "frames", 0.0, 0.1, 0.1)
+        convert.save_frames(random_gaussians(20), tmp_path / "frames", 0.0, 0.1, 0.1)
     assert list(tmp_path.iterdir()) == []

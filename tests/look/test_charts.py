@@ -133,7 +133,9 @@ def test_accuracy_has_names_as_they_are_and_its_points_where_they_belong(tmp_pat
 def test_scores_of_frames_have_gaps_and_levels(tmp_path):
     times_s, values = (1.0, 1.1, 1.2, 1.4), (0.5, None, 1.0, 2.0)
     frames = tuple(FrameScore(t, l2, 0.9, 10, 0) for t, l2 in zip(times_s, values, strict=True))
-    scores = SimpleNamespace(dve=SimpleNamespace(frames=frames), controls={"constant": SimpleNamespace(l2=0.75)})
+    scores = SimpleNamespace(
+        dve=SimpleNamespace(frames=frames), trivial_baselines={"constant": SimpleNamespace(l2=0.75)}
+    )
     frame_chart(scores).write(tmp_path / "l2.svg")
     svg = (tmp_path / "l2.svg").read_text()
     line = re.search(r'<path d="([^"]*)"[^>]*stroke: #c2410c', svg)[1]
@@ -143,7 +145,7 @@ def test_scores_of_frames_have_gaps_and_levels(tmp_path):
     np.testing.assert_allclose(np.diff(places[:, 0]) / np.ptp(places[:, 0]), [0.5, 0.5], atol=1e-3)  # 1.0, 1.2, 1.4 s
     np.testing.assert_allclose(np.diff(places[:, 1]) / np.ptp(places[:, 1]), [-1 / 3, -2 / 3], atol=1e-3)
     assert {"standing still", "one constant vector", "time (ms)"} <= set(texts(svg))
-    assert frame_chart(SimpleNamespace(dve=SimpleNamespace(frames=frames[:2]), controls={})) is None
+    assert frame_chart(SimpleNamespace(dve=SimpleNamespace(frames=frames[:2]), trivial_baselines={})) is None
 
 
 # ---------------------------------------------------------------- streams

@@ -151,7 +151,7 @@ def test_a_static_scene_and_reduced_sizes(browser, page):
     assert psnr(small, expected) > 50 and psnr(small, whole) < 40
 
 
-def test_colours_are_speeds_doubts_and_the_true_ones(browser, page):
+def test_colours_are_speeds_uncertainties_and_the_true_ones(browser, page):
     """The renderer draws the same Gaussians in the colours that numpy looks up."""
     _, g, dataset = page
     browser.resize(2 * WIDTH, HEIGHT)
@@ -166,15 +166,15 @@ def test_colours_are_speeds_doubts_and_the_true_ones(browser, page):
         rgb[~np.isfinite(value)] = 0.32
         return np.clip(render(replace(back, color=rgb), camera, 0.2)["color"], 0, 1)
 
-    speed_max, doubt_max = browser.run("share.speed_max"), browser.run("share.doubt_max")
+    speed_max, uncertainty_max = browser.run("share.speed_max"), browser.run("share.uncertainty_max")
     truth = np.array([0, 0, 2.0])  # of the gas, everywhere and always
     error = np.linalg.norm(back.velocity - truth, axis=-1) / np.sqrt(3)
     both = drawn(browser, "bare=1&show=0 recorded&cam=cam_1&t=200&colour=speed")
     assert psnr(both[:, WIDTH:], expected(np.linalg.norm(back.velocity, axis=-1), speed_max)) > 45
     assert psnr(both[:, :WIDTH], expected(np.full(len(g), 2.0), speed_max)) > 45
-    both = drawn(browser, "bare=1&show=0 recorded&cam=cam_1&t=200&colour=doubt")
-    assert psnr(both[:, WIDTH:], expected(back.velocity_sd, doubt_max)) > 45
-    assert psnr(both[:, :WIDTH], expected(error, doubt_max)) > 45
+    both = drawn(browser, "bare=1&show=0 recorded&cam=cam_1&t=200&colour=uncertainty")
+    assert psnr(both[:, WIDTH:], expected(back.velocity_sd, uncertainty_max)) > 45
+    assert psnr(both[:, :WIDTH], expected(error, uncertainty_max)) > 45
     browser.run("state.colouring = RADIANCE")
     clean(browser, page)
 
@@ -284,7 +284,7 @@ def test_keys_choose_cameras_colours_lines_and_frames(whole):
     for key, expression, value in [
         ("3", "state.camera", 2),
         ("c", "COLOURINGS[state.colouring]", "speed"),
-        ("c", "COLOURINGS[state.colouring]", "doubt"),
+        ("c", "COLOURINGS[state.colouring]", "uncertainty"),
         ("c", "COLOURINGS[state.colouring]", "radiance"),
         ("v", "state.lines", True),
         ("b", "state.plate", False),

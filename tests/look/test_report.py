@@ -18,8 +18,7 @@ from gof.core.gaussians import TransientGaussians
 from gof.dataset import Dataset
 from gof.evaluate import evaluate
 from gof.evaluate.scores import Scores
-from gof.look.preview import Preview
-from gof.look.report import build_report, verdicts
+from gof.look.report import Preview, build_report, verdicts
 from gof.reconstruct.captions import Caption, Captions
 from tests.evaluate.synthetic_flame import flame_dataset
 
@@ -72,11 +71,11 @@ def test_all_images_decode_and_the_animation_has_every_frame(out, page):
     assert (out / "pictures/animation.webp").stat().st_size > 1000 and (out / "pictures/animation.png").exists()
 
 
-def test_scores_controls_costs_and_origin_are_on_the_page(out, page):
+def test_scores_trivial_baselines_costs_and_origin_are_on_the_page(out, page):
     scores = json.loads((out / "scores.json").read_text())
     for value in (
         f"{scores['dve']['l2']:.3f}",
-        f"{scores['controls']['constant']['cos_sim']:.3f}",
+        f"{scores['trivial_baselines']['constant']['cos_sim']:.3f}",
         f"{scores['psnr_flame']:.2f}",
         f"{scores['psnr_flame_plate']:.2f}",
         "2 min 2 s",
@@ -136,11 +135,15 @@ def test_missing_pieces_are_named(out, tmp_path):
 def test_verdicts_say_when_a_score_is_bad(out):
     found = Scores.read(out / "scores.json")
     others = {"zero": (1.0, 0.0), "random": (1.4, 0.0), "constant": (0.5, 0.9), "height_mean": (0.4, 0.9)}
-    controls = {name: replace(found.controls[name], l2=a, cos_sim=b) for name, (a, b) in others.items()}
+    trivial_baselines = {
+        name: replace(found.trivial_baselines[name], l2=a, cos_sim=b) for name, (a, b) in others.items()
+    }
 
     def sentences(l2, cos_sim, psnr):
         dve = replace(found.dve, l2=l2, cos_sim=cos_sim, speed_ratio=l2)
-        return verdicts(replace(found, dve=dve, controls=controls, psnr_flame=psnr, psnr_flame_plate=20.0))
+        return verdicts(
+            replace(found, dve=dve, trivial_baselines=trivial_baselines, psnr_flame=psnr, psnr_flame_plate=20.0)
+        )
 
     good, bad, mixed = sentences(0.3, 0.95, 25), sentences(1.5, -0.2, 18), sentences(0.45, 0.8, 25)
     assert [v.good for v in good[:4]] == [True] * 4
@@ -148,7 +151,7 @@ def test_verdicts_say_when_a_score_is_bad(out):
     assert [v.good for v in bad] == [False] * 6
     assert "Not better than standing still" in bad[0].sentence and "2.0 dB below" in bad[-1].sentence
     assert not mixed[2].good and "Closer in size, not in direction" in mixed[2].sentence
-    assert verdicts(replace(found, dve=None, controls={}, psnr_flame=None)) == []
+    assert verdicts(replace(found, dve=None, trivial_baselines={}, psnr_flame=None)) == []
 
 
 def test_scores_of_an_older_version_are_refused_with_the_remedy(out, tmp_path):

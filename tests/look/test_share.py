@@ -14,11 +14,11 @@ from gof.core.gaussians import TransientGaussians
 from gof.core.trajectory import Trajectory
 from gof.dataset import Dataset
 from gof.io.importers import ImportOptions
+from gof.look.images import frames_within
 from gof.look.player import legend
 from gof.look.player.opened import Opened, dataset_beside, middle_of, newest, open_result
 from gof.look.player.page import front_camera, share_page
 from gof.look.player.quantise import measure, pack, unpack
-from gof.look.player.recorded import frames_within
 from tests.conftest import arc, random_gaussians, write_dataset
 
 
@@ -172,7 +172,7 @@ def test_a_page_holds_everything_and_asks_for_nothing(tmp_path):
     assert [c["name"] for c in content["cameras"]] == ["cam_0", "cam_1", "cam_2"] and content["start"] == 1
     assert all(c["plate"] and len(c["frames"]) == 3 for c in content["cameras"])
     assert content["frame_s"] == [0, 0.1, 0.2] and content["held_out"] == [1]
-    assert content["doubt_max"] == pytest.approx(0.3)
+    assert content["uncertainty_max"] == pytest.approx(0.3)
     assert made.bytes == made.path.stat().st_size and made.agreement[0].psnr_db > 40
 
 
@@ -183,7 +183,7 @@ def test_scales_reach_from_0_to_what_is_fast(tmp_path):
     velocity[:, 2] = np.where(np.arange(100) < 50, 3, 1)
     page = share_page([Opened("a", "gof", tmp_path / "r.npz", replace(g, velocity=velocity))], tmp_path / "page.html")
     content = content_of(page.path)
-    assert content["speed_max"] == 3 and content["doubt_max"] == 0
+    assert content["speed_max"] == 3 and content["uncertainty_max"] == 0
     assert content["frame_s"] == [] and content["cameras"][0]["name"] == "front"
     static = replace(g, dynamic=np.zeros(100, bool))
     page = share_page([Opened("a", "gof", tmp_path / "r.npz", static)], tmp_path / "page.html")

@@ -118,7 +118,7 @@ def test_a_real_server_has_the_page_and_then_what_is_newer(tmp_path):
         status, news = view.get(f"/news?have={have}")
         news = json.loads(news)
         assert status == 200 and "result.npz: 20 transient" in news["subtitle"]
-        assert (first["doubt_max"], news["doubt_max"]) == (0, 0.25)
+        assert (first["uncertainty_max"], news["uncertainty_max"]) == (0, 0.25)
         np.testing.assert_allclose(gaussians_in(news["results"][0]).position, newer.position, atol=1e-3)
         assert view.get(f"/news?have={urllib.parse.quote(news['stamp'])}") == (204, "")
         kept = (tmp_path / "result.npz").read_bytes()
@@ -133,9 +133,9 @@ def test_colours_and_lines_mean_what_they_mean_on_the_page_of_gof_share(tmp_path
     """Half of the opacity moves with 3 m/s, half with 1, and one that hides does not say how sure it is."""
     velocity = np.zeros((100, 3))
     velocity[:, 2] = np.where(np.arange(100) < 50, 3, 1)
-    doubt = np.where(np.arange(100) < 90, 0.4, np.inf)
+    uncertainty = np.where(np.arange(100) < 90, 0.4, np.inf)
     g = replace(random_gaussians(100), dynamic=np.ones(100, bool), opacity=np.full(100, 0.5), velocity=velocity)
-    g = replace(g, velocity_sd=doubt, t_mu=np.linspace(0, 0.35, 100))
+    g = replace(g, velocity_sd=uncertainty, t_mu=np.linspace(0, 0.35, 100))
     g.save(tmp_path / "g.npz")
     shared = content(
         share_page([open_result(tmp_path / "g.npz", ImportOptions())], tmp_path / "page.html").path.read_text()
@@ -143,7 +143,7 @@ def test_colours_and_lines_mean_what_they_mean_on_the_page_of_gof_share(tmp_path
     viewed = content(Live(tmp_path / "g.npz").page())
     for page in (shared, viewed):
         assert page["speed_ticks"] == ["0", "0.75", "1.5", "2.2", "3+ m/s"]
-        assert page["doubt_ticks"] == ["0", "0.1", "0.2", "0.3", "0.4+ m/s"]
+        assert page["uncertainty_ticks"] == ["0", "0.1", "0.2", "0.3", "0.4+ m/s"]
         assert page["notes"]["line"] == "A line is the way of 10 ms.", "3 % of 350 ms, rounded"
     same = set(shared) - {"facts", "subtitle", "file", "results"}
     assert {key: viewed[key] for key in same} == {key: shared[key] for key in same}
@@ -163,7 +163,7 @@ def test_positions_over_time_are_served_instant_by_instant(tmp_path):
     with Served(tmp_path / "mine.npz") as view:
         first = content(view.get()[1])
         assert first["sampled"] and first["speed_max"] in (1.5, 1.6), "rounded up, from differences of float32 places"
-        assert first["doubt_max"] == 0
+        assert first["uncertainty_max"] == 0
         for time_s in (0.0, 0.2, 0.123):
             there = gaussians_in(json.loads(view.get(f"/instant?time={time_s}")[1])["results"][0])
             np.testing.assert_allclose(there.position, start + [0, 0, 1.5 * time_s], atol=1e-4)
@@ -245,7 +245,7 @@ def test_the_page_follows_a_reconstruction_and_the_view_stays(browser, tmp_path)
         assert psnr(picture(browser), np.clip(render(later, camera, time_s)["color"], 0, 1)) > 45
         assert "snapshot.npz: 90 transient" in browser.run("byId('subtitle').textContent")
         labels = browser.run("[...document.querySelectorAll('#colours span')].map((e) => e.textContent)")
-        assert labels == ["Radiance", "Speed", "Doubt"]
+        assert labels == ["Radiance", "Speed", "Uncertainty"]
     said = browser.run(
         "(async () => { for (let i = 0; i < 100 && !byId('said').textContent; i++) await pause(100); "
         "return byId('said').textContent; })()"

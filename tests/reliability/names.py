@@ -65,7 +65,7 @@ def _names(folder: Path) -> None:
 def _captions(folder: Path) -> None:
     import cv2
 
-    from gof.look.preview import Preview
+    from gof.look.report import Preview
     from gof.reconstruct.captions import Caption, Captions
 
     dataset = _beside_secrets(folder)
@@ -116,8 +116,7 @@ def _use_names(folder: Path):
 def _use_captions(folder: Path):
     """The pictures that a report takes from files beside it."""
     from gof.dataset import Dataset
-    from gof.look.preview import Preview
-    from gof.look.report import _preview, _stage_pictures
+    from gof.look.report import Preview, _preview, _stage_pictures
 
     dataset = folder / "dataset"
     if not (dataset / "dataset.json").exists():
@@ -214,18 +213,18 @@ def _show_pages(folder: Path):
     """The suite's board, a shared page and a data card, with the texts of the files; only our own tags are in them."""
     from gof.core.records import read_record
     from gof.dataset import Dataset
-    from gof.dataset.card import card, description_lines
+    from gof.dataset.pack import card, description_lines
     from gof.evaluate.suite_board import SuiteBoard
+    from gof.look.boards import suite_html, suite_markdown
     from gof.look.player.page import assemble
-    from gof.look.suite_page import to_html, to_markdown
 
     board, dataset = read_record(SuiteBoard, folder / "board.json"), Dataset.open(folder)
-    table = to_markdown(board)
+    table = suite_markdown(board)
     assert len(table.splitlines()) == len(board.rows) + 2 and not {"<", "\x1b", "\0"} & set(table), "a name acts"
     name = dataset.description.name
     facts = description_lines(dataset, 1000)
     shared = assemble({"results": [{"name": row.name} for row in board.rows], "facts": facts, "file": name}, name)
-    for page in (to_html(board, {}), shared):
+    for page in (suite_html(board, {}), shared):
         assert not _strange_tags(page), "a name acts on a page"
     said = card(dataset, name or "x", (name,), 1000)
     assert "<script" not in said.split("```")[0] and said.count("\n---\n") == 1, "a name acts on a card"
@@ -265,7 +264,7 @@ def _show_texts(folder: Path):
     from gof.core.costs import StageLog
     from gof.evaluate.leaderboard import collect, rows_of, to_csv, to_markdown
     from gof.host.terminal import console
-    from gof.look.leaderboard_page import to_html
+    from gof.look.boards import leaderboard_html
 
     rows = rows_of(collect([folder]))
     costs = StageLog(folder / "costs.json").costs()
@@ -274,7 +273,7 @@ def _show_texts(folder: Path):
         assert cells[0][:1] != "-", "a name is a formula"
     table = to_markdown(rows)
     assert len(table.splitlines()) == len(rows) + 2 and not {"<", "\x1b", "\0"} & set(table), "a name acts in a table"
-    page = to_html(rows, [], rows[0].name)
+    page = leaderboard_html(rows, [], rows[0].name)
     assert "<script>alert" not in page, "a name acts on a page"
     screen = console()
     with screen.capture() as said:

@@ -57,7 +57,7 @@ def _kinds() -> list[type]:
     from gof.core.costs import Costs
     from gof.dataset.leaks import MadeFrom
     from gof.dataset.poses import Poses
-    from gof.look.preview import Preview
+    from gof.look.report import Preview
     from gof.reconstruct.background import BackgroundSettings
     from gof.reconstruct.captions import Captions
     from gof.reconstruct.curve import Curve

@@ -8,8 +8,8 @@ import pytest
 from gof.core.errors import MissingDependencyError
 from gof.core.fire import FireDescription, Hearth
 from gof_benchmark.solvers.grids import FireFrame, FireGrids, FireHistory, write_fire
-from gof_benchmark.solvers.openfoam.case import Burner, FoamFire
-from gof_benchmark.solvers.openfoam.installation import Installation, find_installation
+from gof_benchmark.solvers.openfoam.foam_fire import Burner, FoamFire
+from gof_benchmark.solvers.openfoam.run import Installation, find_installation
 
 
 def toy_fire(**changes) -> FoamFire:

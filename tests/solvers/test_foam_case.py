@@ -9,21 +9,18 @@ import pytest
 
 from gof.core.errors import DataFormatError, MissingDependencyError
 from gof.core.records import from_json, to_json
-from gof_benchmark.solvers.openfoam import installation
+from gof_benchmark.solvers.openfoam import run
 from gof_benchmark.solvers.openfoam.__main__ import main
 from gof_benchmark.solvers.openfoam.case import (
-    Burner,
-    FoamFire,
     burner_areas,
     draught,
     edges,
-    growing,
     write_case,
     write_control,
     write_fields,
 )
 from gof_benchmark.solvers.openfoam.dictionary import named, render, write_dictionary
-from gof_benchmark.solvers.openfoam.shipped import FIRES, find_fire
+from gof_benchmark.solvers.openfoam.foam_fire import FIRES, Burner, FoamFire, find_fire, growing
 from tests.solvers.conftest import toy_fire
 
 pytestmark = pytest.mark.long
@@ -126,17 +123,17 @@ def test_an_unknown_fire_is_named_and_so_are_those_there_are(capsys):
 
 
 def test_without_openfoam_the_package_is_named(monkeypatch):
-    monkeypatch.setattr(installation.shutil, "which", lambda name: None)
+    monkeypatch.setattr(run.shutil, "which", lambda name: None)
     with pytest.raises(MissingDependencyError, match="apt-get install openfoam"):
-        installation.find_installation()
+        run.find_installation()
 
 
 def test_openfoam_without_its_data_is_named(monkeypatch, tmp_path):
     (tmp_path / "bin").mkdir()
-    monkeypatch.setattr(installation.shutil, "which", lambda name: str(tmp_path / "bin" / name))
+    monkeypatch.setattr(run.shutil, "which", lambda name: str(tmp_path / "bin" / name))
     monkeypatch.setenv("WM_PROJECT_DIR", str(tmp_path / "gone"))
     with pytest.raises(MissingDependencyError, match="gone"):
-        installation.find_installation()
+        run.find_installation()
 
 
 def ask(foam, case, program, *arguments) -> str:

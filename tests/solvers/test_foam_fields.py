@@ -5,8 +5,16 @@ import pytest
 
 from gof.core.errors import DataFormatError
 from gof_benchmark.solvers.openfoam.chemistry import AMBIENT_K, FUELS, MOLAR_MASS, NASA, enthalpy, reactions
-from gof_benchmark.solvers.openfoam.emission import luminous_emission, planck, soot_share
-from gof_benchmark.solvers.openfoam.fields import Resampler, add_to_internal, frame_folder, on_mesh, read_internal
+from gof_benchmark.solvers.openfoam.fields import (
+    Resampler,
+    add_to_internal,
+    frame_folder,
+    luminous_emission,
+    on_mesh,
+    planck,
+    read_internal,
+    soot_share,
+)
 from tests.solvers.conftest import toy_fire
 
 HEADER = """FoamFile

@@ -90,7 +90,7 @@ def test_one_page_comes_out(work, tmp_path, capsys):
     assert (rows["good"].runs, rows["bad"].runs) == (4, 2)
     l2 = {name: rows[name].figures["l2"] for name in ("good", "bad")}
     assert l2["good"].mean < l2["bad"].mean and l2["good"].wins == 2 and l2["good"].seed_sd > 0
-    assert "control: zero" in rows
+    assert "trivial: zero" in rows
     page = (tmp_path / "board.html").read_text()
     assert "GoF-Bench 1" in page
     assert page.count("cam_1, frame 4 at 0.040 s, held out") == len(SCENES), "the methods' pictures, scene by scene"
@@ -307,7 +307,7 @@ def test_one_damaged_submission_does_not_take_the_board_from_the_others(work, tm
         shutil.copytree(work / "bad", folder)
         (folder / "method.json").write_text(json.dumps(METHOD | {"name": name}))
     losses = "".join(f"{k},{k},1e308\n" for k in range(1, 61))
-    (spoiled["curve"] / SCENES[0] / "curve.csv").write_text("step,processor_seconds,loss\n" + losses)
+    (spoiled["curve"] / SCENES[0] / "curve.csv").write_text("step,cpu_seconds,loss\n" + losses)
     path = spoiled["fast"] / SCENES[0] / "result.npz"
     fast = TransientGaussians.load(path)
     fields = {n: getattr(fast, n) for n in fast.__dataclass_fields__}
@@ -318,8 +318,8 @@ def test_one_damaged_submission_does_not_take_the_board_from_the_others(work, tm
     assert rows["good"].competes and rows["bad"].competes and rows["good"].figures["l2"].rank == 1
 
 
-def test_a_method_is_not_called_as_a_control(work, tmp_path, capsys):
-    for name in ("control: zero", "CONTROL: mine", "\u202etxt.exe"):
+def test_a_method_is_not_called_as_a_trivial_baseline(work, tmp_path, capsys):
+    for name in ("trivial: zero", "CONTROL: mine", "\u202etxt.exe"):
         (tmp_path / "method.json").write_text(json.dumps(METHOD | {"name": name}))
         assert main(["benchmark", "score", str(tmp_path), str(work / "preview"), "--out", str(tmp_path / "b")]) == 1
         assert "give it another name in method.json" in capsys.readouterr().err

@@ -14,8 +14,7 @@ from gof.dataset.truth import Truth
 from gof_benchmark import suite
 from gof_benchmark.commands import benchmark, benchmark_list
 from gof_benchmark.suite import SEALED, pick, scenes_of
-from gof_benchmark.suite.made import SIZES, made_scenes, scene_of
-from gof_benchmark.suite.truths import FILE, SuiteTruths, compare
+from gof_benchmark.suite.made import FILE, SIZES, SuiteTruths, compare, made_scenes, scene_of
 from gof_blender.pure.layout import Layout
 from tests.evaluate.synthetic_flame import flame_dataset
 

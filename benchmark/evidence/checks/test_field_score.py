@@ -1,4 +1,4 @@
-"""The controls of a flow field, on plumes whose motion is known in closed form."""
+"""The trivial baselines of a flow field, on plumes whose motion is known in closed form."""
 
 from dataclasses import replace
 
@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from gof.core.fields import VelocityField
-from gof_benchmark.evidence.doubt import reliability
+from gof_benchmark.evidence.calibration import reliability
 from gof_benchmark.training.field_score import (
     best_constant,
     buoyant_law,

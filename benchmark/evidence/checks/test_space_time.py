@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from gof_benchmark.training.space_time import climb
+from gof_benchmark.evidence.rise_speed import climb
 
 HEIGHT, FRAME_S = 160, 0.01
 

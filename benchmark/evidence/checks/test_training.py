@@ -1,4 +1,4 @@
-"""What the flow prior's training minimises, and whether the doubt that it learns is right, on numbers made up here."""
+"""The aim of the flow prior's training, and whether the uncertainty that it learns is right, on made-up numbers."""
 
 from dataclasses import replace
 
@@ -12,7 +12,7 @@ from gof_benchmark.training.flow_prior import (  # noqa: E402
     Samples,
     Scaling,
     held_out_error,
-    train_doubt,
+    train_uncertainty,
     train_velocity,
     velocity_loss,
 )
@@ -59,16 +59,16 @@ def test_a_pace_that_is_too_high_is_an_error():
 
 
 @pytest.mark.long
-def test_doubt_is_the_spread_of_the_errors():
+def test_uncertainty_is_the_spread_of_the_errors():
     """Errors that are normal, and wider where the second feature is positive."""
     flames = [samples(seed=1), samples(seed=2)]
     errors = [
         torch.randn(len(f), 3, generator=torch.Generator().manual_seed(9)) * spread(f.features)[:, None] for f in flames
     ]
-    doubt = train_doubt(Scaling.of(Samples.joined(flames)), flames, errors, steps=600)
+    uncertainty = train_uncertainty(Scaling.of(Samples.joined(flames)), flames, errors, steps=600)
     unseen = replace(samples(seed=3), features=samples(seed=3).features)
     scaled = Scaling.of(Samples.joined(flames))(unseen.features).numpy()
-    sd = np.exp(evaluate_network(doubt, scaled)[0, :, 0])
+    sd = np.exp(evaluate_network(uncertainty, scaled)[0, :, 0])
     wide = unseen.features[:, 1].numpy() > 0.3
     narrow = unseen.features[:, 1].numpy() < -0.3
     assert np.median(sd[wide]) == pytest.approx(1.2, rel=0.15)

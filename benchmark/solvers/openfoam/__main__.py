@@ -10,8 +10,8 @@ import tyro
 
 from gof.core.errors import GofError
 from gof.core.files import path_in
+from gof_benchmark.solvers.openfoam.foam_fire import find_fire
 from gof_benchmark.solvers.openfoam.run import bake
-from gof_benchmark.solvers.openfoam.shipped import find_fire
 
 
 @dataclass
@@ -25,7 +25,7 @@ class Bake:
 
     Fires that come with the benchmark: pool_methane (0.2 m square), pool_small (0.1 m), pool_wide (0.4 m),
     pool_propane (0.3 m round), jet, two_burners, pool_wind. A description of your own: copy one of their files in
-    gof_benchmark/solvers/openfoam/fires and change it; what its fields mean: FoamFire in case.py there.
+    gof_benchmark/solvers/openfoam/fires and change it; what its fields mean: FoamFire in foam_fire.py there.
     """
 
     fires: tyro.conf.Positional[tuple[str, ...]]

@@ -47,11 +47,11 @@ class Fuel:
 
     @property
     def density(self) -> float:
-        """Of the cold gas, kg/m3."""
+        """Return the density of the cold gas, kg/m3."""
         return AMBIENT_PA * MOLAR_MASS[self.species] * 1e-3 / (GAS_CONSTANT * AMBIENT_K)
 
     def mixture_fraction(self, fuel, carbon_dioxide):
-        """Mass that came from the burner, 0..1, from mass fractions: carbon is in the fuel and its CO2 only."""
+        """Return mass that came from the burner, 0..1, from mass fractions: carbon is in the fuel and its CO2 only."""
         return fuel + carbon_dioxide * MOLAR_MASS[self.species] / (self.carbon * MOLAR_MASS["CO2"])
 
 
@@ -100,7 +100,7 @@ def enthalpy(species: str, temperature_k: float = 298.15) -> float:
 
 
 def species_of(fuel: Fuel) -> list[str]:
-    """Every gas of the mixture; nitrogen, which OpenFOAM takes as what remains, last."""
+    """Return every gas of the mixture; nitrogen, which OpenFOAM takes as what remains, last."""
     return ["O2", "H2O", fuel.species, "CO2", "N2"]
 
 

@@ -13,7 +13,7 @@ END = "// * //\n"  # OpenFOAM's own files end in a line like this; a file that w
 
 
 def render(value: Any, indent: int = 0) -> str:
-    """A value as OpenFOAM reads it: dict -> {...}, sequence -> (...), bool -> yes/no; text stands as it is."""
+    """Return a value as OpenFOAM reads it: dict -> {...}, sequence -> (...), bool -> yes/no; text stands as it is."""
     pad = "    " * indent
     if isinstance(value, dict):
         return f"{pad}{{\n{render_entries(value, indent + 1)}{pad}}}\n"
@@ -27,7 +27,7 @@ def render(value: Any, indent: int = 0) -> str:
 
 
 def render_entries(entries: dict[str, Any], indent: int = 0) -> str:
-    """The entries of a dictionary, one a line (or a block)."""
+    """Return the entries of a dictionary, one a line (or a block)."""
     pad = "    " * indent
     lines = []
     for key, value in entries.items():
@@ -39,12 +39,12 @@ def render_entries(entries: dict[str, Any], indent: int = 0) -> str:
 
 
 def named(entries: dict[str, dict]) -> str:
-    """A list of named dictionaries, `( name { ... } ... )`, as blockMesh's boundary and createPatch want it."""
+    """Return a list of named dictionaries, `( name { ... } ... )`, as blockMesh's boundary and createPatch want it."""
     return "(\n" + "".join(f"{name}\n{render(value)}" for name, value in entries.items()) + ")"
 
 
 def unnamed(entries: list[dict]) -> str:
-    """A list of dictionaries without names, `( { ... } ... )`."""
+    """Return a list of dictionaries without names, `( { ... } ... )`."""
     return "(\n" + "".join(render(value) for value in entries) + ")"
 
 

@@ -10,24 +10,26 @@ The solver writes every field at every frame of the clip, so that a killed run g
 
 from __future__ import annotations
 
+import os
 import re
 import shutil
 import subprocess
 import sys
 from collections.abc import Callable
+from dataclasses import dataclass
 from pathlib import Path
 
-from gof.core.errors import DataFormatError, GofError
+from gof.core.errors import DataFormatError, GofError, MissingDependencyError
 from gof.core.files import only_run_in
 from gof.core.records import read_record, write_record
-from gof.host.processes import start
-from gof.host.progress import progress_bar
+from gof.host.processes import run, start
+from gof.host.terminal import progress_bar
 from gof_benchmark.solvers.grids import FireGrids
-from gof_benchmark.solvers.openfoam.case import FoamFire, draught, write_case, write_control, write_fields
+from gof_benchmark.solvers.openfoam.case import draught, write_case, write_control, write_fields
 from gof_benchmark.solvers.openfoam.chemistry import species_of
 from gof_benchmark.solvers.openfoam.dictionary import END
 from gof_benchmark.solvers.openfoam.fields import add_to_internal, grids_of
-from gof_benchmark.solvers.openfoam.installation import Installation, find_installation
+from gof_benchmark.solvers.openfoam.foam_fire import FoamFire
 
 TIME = re.compile(r"^Time = (\S+)")
 CPU = re.compile(r"^ExecutionTime = (\S+) s")
@@ -125,7 +127,7 @@ def _hand_over(installation: Installation, fire: FoamFire, out: Path) -> None:
 
 
 def times_of(case: Path) -> list[str]:
-    """Names of a case's time folders after 0, in order."""
+    """Return names of a case's time folders after 0, in order."""
     names = [d.name for d in case.glob("*") if d.is_dir() and re.fullmatch(r"\d+(\.\d+)?(e-\d+)?", d.name)]
     return sorted((n for n in names if float(n) > 0), key=float)
 
@@ -141,7 +143,7 @@ def drop_torn_times(fire: FoamFire, case: Path) -> None:
 
 
 def cpu_seconds(log: Path) -> float:
-    """Of all runs of the solver that wrote to a case's log, also those that were killed."""
+    """Return the CPU seconds of all runs of the solver that wrote to a case's log, also those that were killed."""
     total = last = 0.0
     for line in open(log, errors="replace") if log.exists() else ():
         if found := CPU.match(line):
@@ -190,3 +192,62 @@ def _lines(installation: Installation, case: Path, program: str, *arguments: str
             child.wait()
     if status:
         raise GofError(f"{program} in {case} ended with status {status} (whole log: {log}):\n{''.join(last)}")
+
+
+# ----------------------------------------------------------------
+# Where OpenFOAM is installed, and how to start its programs.
+
+HINT = (
+    "fireFoam of OpenFOAM (com) is needed to bake this fire: on Debian or Ubuntu `apt-get install openfoam`; "
+    "elsewhere source OpenFOAM's etc/bashrc first (it sets PATH and WM_PROJECT_DIR)"
+)
+
+
+@dataclass(frozen=True)
+class Installation:
+    """Programs and data of one OpenFOAM.
+
+    Args:
+        programs: folder of blockMesh, fireFoam and the others.
+        project: folder that holds `etc/controlDict`, what OpenFOAM calls WM_PROJECT_DIR.
+    """
+
+    programs: Path
+    project: Path
+
+    def program(self, name: str) -> str:
+        """Return path of a program. Raises MissingDependencyError when this OpenFOAM lacks it."""
+        path = self.programs / name
+        if not path.exists():
+            raise MissingDependencyError(f"{path}: this OpenFOAM has no {name}. {HINT}")
+        return str(path)
+
+    def environment(self, folder: Path) -> dict[str, str]:
+        """Variables of a program that is started in `folder`; the distribution's package sets none by itself."""
+        return os.environ | {"WM_PROJECT_DIR": str(self.project), "PWD": str(folder.resolve())}
+
+    def version(self) -> str:
+        """For example "1912 (patch=200626)"; "unknown" when the solver's help does not say."""
+        pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.DEVNULL, "text": True}
+        text = run([self.program("fireFoam"), "-help"], env=self.environment(Path()), **pipes).stdout
+        found = re.search(r"Using: OpenFOAM\S* \(([^)]*)\)", text), re.search(r"Build: *(\S.*)", text)
+        return " ".join(m.group(1).strip() for m in found if m) or "unknown"
+
+
+def find_installation() -> Installation:
+    """Return the OpenFOAM of this shell (WM_PROJECT_DIR), or else the one whose fireFoam is on PATH.
+
+    Raises:
+        MissingDependencyError: none is installed, or its data cannot be found; says what to install.
+    """
+    fire_foam = shutil.which("fireFoam")
+    if not fire_foam:
+        raise MissingDependencyError(f"fireFoam is not on PATH. {HINT}")
+    programs = Path(fire_foam).parent
+    sourced = os.environ.get("WM_PROJECT_DIR")
+    # The distribution keeps the data beside the programs: <prefix>/bin and <prefix>/share/openfoam.
+    candidates = ([Path(sourced)] if sourced else []) + [programs.parent / "share" / "openfoam"]
+    for project in candidates:
+        if (project / "etc" / "controlDict").exists():
+            return Installation(programs, project)
+    raise MissingDependencyError(f"{candidates[0]}: no etc/controlDict of OpenFOAM there. {HINT}")

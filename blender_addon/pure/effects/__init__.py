@@ -48,12 +48,12 @@ from ..timing import Picture, Timing
 
 
 def names() -> list[str]:
-    """Names of all effects, sorted."""
+    """Return names of all effects, sorted."""
     return sorted(item.name for item in pkgutil.iter_modules(__path__))
 
 
 def module(name: str) -> ModuleType:
-    """The module of one effect."""
+    """Return the module of one effect."""
     return importlib.import_module(f".{name}", __name__)
 
 
@@ -63,32 +63,32 @@ def name_of(settings: Any) -> str:
 
 
 def absorbs_light(settings: Any) -> bool:
-    """Whether the effect dims what is behind it."""
+    """Return whether the effect dims what is behind it."""
     return bool(_hook(settings, "ABSORBS_LIGHT"))
 
 
 def changes_bake(settings: Any) -> bool:
-    """Whether the effect asks something of the solver."""
+    """Return whether the effect asks something of the solver."""
     return bool(_hook(settings, "CHANGES_BAKE"))
 
 
 def beyond_velocity(settings: Any) -> bool:
-    """Whether the effect moves the drawn light in a way that is not in the true velocity."""
+    """Return whether the effect moves the drawn light in a way that is not in the true velocity."""
     return bool(_hook(settings, "BEYOND_VELOCITY"))
 
 
 def encodes(settings: Any) -> bool:
-    """Whether the effect passes the display pictures through a codec."""
+    """Return whether the effect passes the display pictures through a codec."""
     return bool(_hook(settings, "ENCODES"))
 
 
 def shows_board(settings: Any) -> bool:
-    """Whether the effect puts a board into the pictures that scores leave out."""
+    """Return whether the effect puts a board into the pictures that scores leave out."""
     return bool(_hook(settings, "SHOWS_BOARD"))
 
 
 def touches_time(settings: Any) -> bool:
-    """Whether the effect changes when pictures are taken."""
+    """Return whether the effect changes when pictures are taken."""
     return _hook(settings, "timing") is not None
 
 
@@ -99,13 +99,13 @@ def steps_per_frame(settings: Any) -> int:
 
 
 def timing(settings: Any, picture: Picture) -> Timing:
-    """What the effect adds to the time of a picture."""
+    """Return what the effect adds to the time of a picture."""
     hook = _hook(settings, "timing")
     return hook(settings, picture) if hook else Timing()
 
 
 def expose(light: np.ndarray, listed: tuple[Any, ...], picture: Picture) -> np.ndarray:
-    """(H, W, 3) linear light on the sensor to what the sensor reports: each effect in the order of the spec."""
+    """Return (H, W, 3) linear light on the sensor to what the sensor reports: each effect in the order of the spec."""
     for settings in listed:
         if hook := _hook(settings, "expose"):
             light = hook(light, settings, picture)
@@ -113,7 +113,7 @@ def expose(light: np.ndarray, listed: tuple[Any, ...], picture: Picture) -> np.n
 
 
 def meters(settings: Any) -> bool:
-    """Whether the effect sets the exposure by what the first picture shows."""
+    """Return whether the effect sets the exposure by what the first picture shows."""
     return _hook(settings, "gain") is not None
 
 

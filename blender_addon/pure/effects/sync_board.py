@@ -37,7 +37,7 @@ class Settings:
     tick_us: float = 400.0
     """Tick of the firmware. No frame time may be a multiple of five ticks: at 25, 50, 100 or 250 fps take 410."""
     start_s: float = 1.0
-    """What the board's clock shows at time 0."""
+    """Reading of the board's clock at time 0."""
 
     def __post_init__(self):
         require(self.marker_m > 0, "effects.sync_board.marker_m", "positive", self.marker_m)
@@ -47,7 +47,7 @@ class Settings:
         require(50 <= self.tick_us <= 100000, "effects.sync_board.tick_us", "between 50 and 100000", self.tick_us)
 
     def plane(self) -> np.ndarray:
-        """(3, 3): takes (x, y, 1) on the board to the world."""
+        """Return (3, 3): takes (x, y, 1) on the board to the world."""
         facing, turn = math.radians(self.facing_deg), math.radians(self.turn_deg)
         right, down = np.array([-math.sin(facing), math.cos(facing), 0.0]), np.array([0.0, 0.0, -1.0])
         x = self.marker_m * (math.cos(turn) * right + math.sin(turn) * down)
@@ -56,7 +56,7 @@ class Settings:
 
 
 def lit_shares(settings: Settings, picture: Picture, when: Timing) -> np.ndarray:
-    """(21, lines): for what share of its exposure each line of a picture sees each output lit.
+    """Return (21, lines): for what share of its exposure each line of a picture sees each output lit.
 
     Args:
         when: timing of the picture, all its effects together.

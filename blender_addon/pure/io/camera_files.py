@@ -26,7 +26,8 @@ MOST = 10_000  # cameras
 
 
 def read(path: Path) -> tuple[CameraEntry, ...]:
-    """The cameras of dataset.json, transforms.json, or the COLMAP model of a file; pictures of one camera are one.
+    """Return the cameras of dataset.json, transforms.json, or the COLMAP model of a file; pictures of one camera are
+    one.
 
     Raises:
         DataFormatError: no such file, another format, distortion, or values that are no camera.
@@ -117,7 +118,7 @@ def _of_colmap(folder: Path) -> Iterator[CameraEntry]:
 
 
 def _entry(name: str, width: int, height: int, lens, to_camera: np.ndarray) -> CameraEntry:
-    """A camera. Raises ValueError: not finite, no focal length, or a pose that is no turn."""
+    """Return a camera. Raises ValueError: not finite, no focal length, or a pose that is no turn."""
     fx, fy, cx, cy = (float(value) for value in lens)
     k = np.array([[fx, 0, cx], [0, fy, cy], [0, 0, 1.0]])
     if not (np.isfinite(k).all() and np.isfinite(to_camera).all()):
@@ -131,7 +132,7 @@ def _entry(name: str, width: int, height: int, lens, to_camera: np.ndarray) -> C
 
 
 def _plain(name: str) -> str:
-    """A name that files can have: the same with "_" for the characters that no file's name may hold."""
+    """Return a name that files can have: the same with "_" for the characters that no file's name may hold."""
     plain = "".join("_" if c in '/\\:*?"<>|{}' or not c.isprintable() else c for c in name).strip(" .").lstrip("-~")
     return plain if plain and is_name(plain) else "cam"
 

@@ -33,7 +33,7 @@ SPLATS = {
 
 @dataclass(frozen=True)
 class Clock:
-    """What the files of other methods do not say about time.
+    """Facts about time that the files of other methods do not hold.
 
     Attributes:
         fps: numbers per second of a PLY sequence, frames per second of an FTGS-PLY's clip.
@@ -60,7 +60,7 @@ class GaussianCloud(TransientGaussians):
         self.color = plain_color(self.color)
 
     @property
-    def says_doubt(self) -> bool:
+    def says_uncertainty(self) -> bool:
         """Whether the standard deviation of any velocity is known."""
         return bool(np.isfinite(self.velocity_sd).any())
 
@@ -91,12 +91,12 @@ def load(source: str | Path | Sequence[Path], clock: Clock | None = None, step: 
 
 
 def count(source: str | Path | Sequence[Path]) -> int:
-    """Number of Gaussians that `load` would make, from the files' headers alone. Raises: as `load`."""
+    """Return number of Gaussians that `load` would make, from the files' headers alone. Raises: as `load`."""
     return sum(_count_npz(path) if path.suffix.lower() == ".npz" else count_vertices(path) for path in files_of(source))
 
 
 def files_of(source: str | Path | Sequence[Path]) -> list[Path]:
-    """The files that a source stands for, numbered ones in order. Raises: DataFormatError."""
+    """Return the files that a source stands for, numbered ones in order. Raises: DataFormatError."""
     if not isinstance(source, (str, Path)):
         return _numbered([Path(path) for path in source]) if len(source) > 1 else files_of(source[0])
     path = Path(source)

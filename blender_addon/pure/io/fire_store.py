@@ -65,7 +65,7 @@ class FireStore:
         return float(self.index_to_world[0, 0])
 
     def covers(self, first_s: float, last_s: float) -> bool:
-        """Whether all times from first to last lie on its clock."""
+        """Return whether all times from first to last lie on its clock."""
         time_s = self.velocity.times_s
         return bool(time_s[0] - SAME_TIME_S <= first_s and last_s <= time_s[-1] + SAME_TIME_S)
 

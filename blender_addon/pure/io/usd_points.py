@@ -100,7 +100,7 @@ def write(
 
 
 def _extent(points: Points) -> np.ndarray:
-    """(2, 3) the lowest and the highest corner; at the origin where nothing is seen."""
+    """Return (2, 3) the lowest and the highest corner; at the origin where nothing is seen."""
     if not len(points):
         return np.zeros((2, 3), np.float32)
     half = points.width[:, None] / 2

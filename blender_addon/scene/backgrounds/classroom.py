@@ -84,7 +84,7 @@ def build(spec: SceneSpec, collection: bpy.types.Collection) -> None:
 
 
 def _blackboard(rng, collection, oak) -> None:
-    """A framed slate with lines of chalk handwriting and two drawn diagrams."""
+    """Add a framed slate with lines of chalk handwriting and two drawn diagrams."""
     width, height, z, y = 1.5, 1.05, 1.72, WALL_Y - 0.02
     slate = material.tiles(
         "Slate", ((0.022, 0.034, 0.03), (0.018, 0.03, 0.027)), (0.02, 0.03, 0.027), (0.75, 1.2), 0.001, stains=0.6
@@ -172,7 +172,7 @@ def _bookcase(rng, collection, x: float, oak) -> None:
 
 
 def _desk(rng, collection, x: float, y: float, oak, steel) -> None:
-    """A school desk with a chair, an exercise book and a jar."""
+    """Add a school desk with a chair, an exercise book and a jar."""
     turn = rng.uniform(-14, 14)
     meshes.box(
         "Desk", (0.85, 0.5, 0.03), collection, rng.uniform(0, 9, 2), location=(x, y, 0.68), material=oak, turn_deg=turn
@@ -231,7 +231,7 @@ def _desk(rng, collection, x: float, y: float, oak, steel) -> None:
 
 
 def _bench(fire: Burner, top: float, rng, collection, oak, steel) -> None:
-    """The demonstration bench under the domain, with the burner and apparatus out of the flame's reach."""
+    """Add the demonstration bench under the domain, with the burner and apparatus out of the flame's reach."""
     x, y, z = fire.position
     tiles = material.tiles(
         "Bench Tiles",

@@ -162,7 +162,7 @@ def _things(rng, collection, dark, pale) -> None:
 
 
 def _foliage(rng, collection, place, radius: float, count: int, leaf) -> None:
-    """A ball of leaves in one mesh."""
+    """Add a ball of leaves in one mesh."""
     direction = rng.standard_normal((count, 3))
     direction /= np.linalg.norm(direction, axis=1, keepdims=True)
     direction[:, 2] = np.abs(direction[:, 2])

@@ -38,7 +38,7 @@ def build(spec: SceneSpec, collection: bpy.types.Collection) -> None:
 
 
 def _burner(spec: SceneSpec, collection: bpy.types.Collection) -> None:
-    """What the fire burns on: logs, a ball, or a dish on a foot."""
+    """Add the thing that the fire burns on: logs, a ball, or a dish on a foot."""
     burner, shape = spec.fire.burner, spec.fire.shape if isinstance(spec.fire, Fire) else "disc"
     if burner is None:
         return

@@ -10,7 +10,7 @@ from .. import compat
 
 
 def light(collection, location, watts: float, size: float, colour, aim=(0.0, 0.6, 0.6)) -> None:
-    """A square area light that shines at a place."""
+    """Add a square area light that shines at a place."""
     data = bpy.data.lights.new("Light", "AREA")
     data.energy, data.size, data.color = watts, size, colour
     lamp = bpy.data.objects.new("Light", data)

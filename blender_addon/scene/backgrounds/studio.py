@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import bpy
 
-from ...pure.rooms import studio_scale
+from ...pure.plausibility import studio_scale
 from ...pure.spec import SceneSpec
 from .. import material, meshes
 from .lighting import light, sky

@@ -64,7 +64,7 @@ POSTER_COLOURS = (
 
 
 def _shelf(rng, collection, place, wood, paints) -> None:
-    """Four boards with boxes and tins of random sizes."""
+    """Add four boards with boxes and tins of random sizes."""
     x, y = place
     width, depth = 1.35, 0.32
     for side in (-1, 1):
@@ -110,7 +110,7 @@ def _shelf(rng, collection, place, wood, paints) -> None:
 
 
 def _posters(rng, collection, y) -> None:
-    """Prints on the wall between and above the shelves."""
+    """Add prints on the wall between and above the shelves."""
     for index, (x, z, width, height) in enumerate(
         [
             (0.03, 1.25, 0.44, 0.6),
@@ -187,7 +187,7 @@ def _crates(rng, collection, wood, paints) -> None:
 
 
 def _fire_bowl(burner: Burner, rng, collection, steel, stone) -> None:
-    """A steel bowl under the emitter, unless that lies in the floor, inside a ring of stones."""
+    """Add a steel bowl under the emitter, unless that lies in the floor, inside a ring of stones."""
     x, y, top = burner.position
     radius = 1.35 * burner.radius
     profile = [

@@ -1,4 +1,4 @@
-"""What effects do to the open Blender scene; ``pure.effects`` states the contract of both their halves."""
+"""Effects on the open Blender scene; ``pure.effects`` states the contract of both their halves."""
 
 from __future__ import annotations
 
@@ -23,12 +23,12 @@ def apply(fire: FireObjects, settings: Any, spec: SceneSpec) -> None:
 
 
 def changes_scene(settings: Any) -> bool:
-    """Whether an effect is something in the scene, not in the camera."""
+    """Return whether an effect is something in the scene, not in the camera."""
     return _hook(settings, "apply") is not None
 
 
 def overlay(light: np.ndarray, spec: SceneSpec, camera: int, frame: int) -> np.ndarray:
-    """Rendered light (H, W, 3) to the light that reaches the sensor: what effects draw over it."""
+    """Turn rendered light (H, W, 3) into the light that reaches the sensor: what effects draw over it."""
     for settings in spec.effects:
         if hook := _hook(settings, "overlay"):
             light = hook(light, settings, spec, camera, frame)
@@ -36,7 +36,7 @@ def overlay(light: np.ndarray, spec: SceneSpec, camera: int, frame: int) -> np.n
 
 
 def board_mask(spec: SceneSpec, camera: int) -> np.ndarray:
-    """(H, W) in [0, 1]: 1 where a board is."""
+    """Return (H, W) in [0, 1]: 1 where a board is."""
     return sum(
         _hook(settings, "board_mask")(settings, spec, camera) for settings in spec.effects if shows_board(settings)
     )

@@ -41,7 +41,7 @@ def apply(fire: FireObjects, settings: Settings, spec: SceneSpec) -> None:
 
 
 def field_strength(settings: Settings, spec: SceneSpec) -> float:
-    """Mean strength of Blender's field."""
+    """Return mean strength of Blender's field."""
     if settings.unit == "field":
         return settings.strength
     push = wind_push(settings.strength, 2 * spec.fire.radius)

@@ -12,22 +12,22 @@ from typing import Any
 
 import numpy as np
 
+from gof.core.datum import require_digits
 from gof.core.errors import DataFormatError, GofError
 from gof.core.gaussians import MovingGaussians, TransientGaussians
-from gof.core.precision import require_digits
-from gof.io.importers import authors, freetime, own, ply_sequence, spacetime, unreadable, yang
-from gof.io.importers.said import in_words, with_said
+from gof.io.importers import freetime, gof_files, paper_code, ply_sequence, refused, spacetime, yang
+from gof.io.importers.sidecar import in_words, with_said
 from gof.io.importers.source import FLAGS, Imported, ImportOptions, Source
 
-# in the order in which they are asked; `unreadable` explains what is recognised and has no velocities
+# in the order in which they are asked; `refused` explains what is recognised and has no velocities
 METHODS = {
-    "gof": own,
-    "authors": authors,
+    "gof": gof_files,
+    "authors": paper_code,
     "yang": yang,
     "freetime": freetime,
     "spacetime": spacetime,
     "ply-sequence": ply_sequence,
-    "unreadable": unreadable,
+    "unreadable": refused,
 }
 
 ROUNDED = 0.1  # of a life or a size, that the float32 of a result may round off
@@ -57,7 +57,7 @@ def detect(source: Source) -> str:
 
 
 def _summary(checkpoint: Any) -> str:
-    """What an unknown checkpoint holds, in words."""
+    """Return what an unknown checkpoint holds, in words."""
     if isinstance(checkpoint, dict):
         return f"a dict with {sorted(map(str, checkpoint))[:6]}"
     if not isinstance(checkpoint, (tuple, list)):
@@ -73,7 +73,7 @@ def read_result(path: str | Path, options: ImportOptions | None = None) -> Impor
     Args:
         path: a file, or a folder: of `gof reconstruct`; of numbered PLYs; or a training's output, whose newest
             checkpoint is taken (the paper's code: without one, its newest PLY).
-        options: what the file does not say; None: as RESULT.gof.json beside it says (`gof.io.importers.said`).
+        options: what the file does not say; None: as RESULT.gof.json beside it says (`gof.io.importers.sidecar`).
     Raises:
         DataFormatError: unknown, damaged, another version, or it has no velocities (says what to do); or an option was
             given that says nothing about this format.
@@ -88,7 +88,7 @@ def read_result(path: str | Path, options: ImportOptions | None = None) -> Impor
         imported = replace(METHODS[name].read(source, options), flame_only=options.flame_only)
         if said is not None:
             imported.notes.append(in_words(said, options))
-        if imported.method == "gof" and (method := own.converted_from(source)) in METHODS:
+        if imported.method == "gof" and (method := gof_files.converted_from(source)) in METHODS:
             imported = replace(imported, method=method)
         _require_digits(imported.gaussians)
         return imported
@@ -106,7 +106,7 @@ def _refuse_unused(name: str, options: ImportOptions) -> None:
 
 
 def _require_digits(gaussians: MovingGaussians) -> None:
-    """Raises GofError: times or places so far from zero that float32 has rounded lives or sizes away."""
+    """Raise GofError: times or places so far from zero that float32 has rounded lives or sizes away."""
     if not isinstance(gaussians, TransientGaussians) or not gaussians.dynamic.any():
         return
     moving = gaussians[gaussians.dynamic]
@@ -132,9 +132,9 @@ def _newest_checkpoint(folder: Path) -> Path:
 
 
 def _newest_ply(folder: Path) -> Path:
-    """The newest PLY of a training whose PLYs are whole results (the paper's code); else the folder itself."""
+    """Return the newest PLY of a training whose PLYs are whole results (the paper's code); else the folder itself."""
     plys = sorted(
         folder.glob("point_cloud/iteration_*/point_cloud.ply"),
         key=lambda p: int(re.sub(r"\D", "", p.parent.name) or 0),
     )
-    return plys[-1] if plys and Source(plys[-1]).ply.has(*authors.VELOCITY) else folder
+    return plys[-1] if plys and Source(plys[-1]).ply.has(*paper_code.VELOCITY) else folder

@@ -28,7 +28,7 @@ class Alignment:
     reach_m: float
 
     def in_words(self, source: Path) -> str:
-        """What was done by the cameras of `source`, and what is left."""
+        """Return what was done by the cameras of `source`, and what is left."""
         doubtful = self.position_rms_m > SAME_WORLD * self.reach_m or self.rotation_max_deg > SAME_WORLD * 100
         return (
             f"moved by the similarity of {name_model(source)}: scale {self.scale:.4g}; cameras then "
@@ -156,12 +156,12 @@ def _of_pictures(poses: Poses, path: Path) -> Poses:
 
 
 def _degrees(turn: np.ndarray) -> float:
-    """Angle of a rotation (3, 3)."""
+    """Return angle of a rotation (3, 3)."""
     return float(np.degrees(np.arccos(np.clip((np.trace(turn) - 1) / 2, -1, 1))))
 
 
 def require_same_world(source: dict[str, np.ndarray], target: dict[str, np.ndarray], path: Path) -> str:
-    """A sentence on whether cameras of the same name stand in the same place in both worlds.
+    """Return a sentence on whether cameras of the same name stand in the same place in both worlds.
 
     Args:
         source, target: name -> world_to_camera (4, 4).   path: where `source` was read.

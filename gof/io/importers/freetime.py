@@ -79,7 +79,7 @@ def _from_splats(source: Source) -> tuple[dict, dict]:
 
 
 def _checkpoint_splats(source: Source) -> tuple[dict, dict]:
-    """The nine tensors of `ckpt_{step}.pt` by name, and what it says of the clip."""
+    """Return the nine tensors of `ckpt_{step}.pt` by name, and what it says of the clip."""
     content = source.checkpoint
     splats = content["splats"]
     if not isinstance(splats, dict) or set(splats) != SPLATS:
@@ -92,7 +92,7 @@ def _checkpoint_splats(source: Source) -> tuple[dict, dict]:
 
 
 def _canonical_splats(source: Source) -> tuple[dict, dict]:
-    """The nine arrays of `canonical_4d.npz` by name, and what it says of the clip."""
+    """Return the nine arrays of `canonical_4d.npz` by name, and what it says of the clip."""
     content = source.npz
     missing = SPLATS - set(content)
     if missing:
@@ -101,7 +101,7 @@ def _canonical_splats(source: Source) -> tuple[dict, dict]:
 
 
 def _vanilla_facts(content: dict, path: Path) -> dict:
-    """What a file says of its clip and its life times.
+    """Return what a file says of its clip and its life times.
 
     Raises:
         DataFormatError: it says that it is no vanilla model, or a figure is none.

@@ -20,7 +20,7 @@ JSON = 'a JSON file with "training_to_world", the inverse of its parser\'s trans
 
 
 def freetime_normalisation(poses: Poses, points: np.ndarray) -> np.ndarray:
-    """The world-to-training similarity (4, 4) of FreeTimeGsVanilla's own parser.
+    """Return the world-to-training similarity (4, 4) of FreeTimeGsVanilla's own parser.
 
     The mean of the cameras' centres moves to the origin, and the farthest of them to distance 1; then the points'
     principal axes, largest first, become x, y, z, turned about the cameras' mean.
@@ -39,7 +39,7 @@ def freetime_normalisation(poses: Poses, points: np.ndarray) -> np.ndarray:
 
 
 def gsplat_normalisation(poses: Poses, points: np.ndarray) -> np.ndarray:
-    """The world-to-training similarity (4, 4) of gsplat's example trainers.
+    """Return the world-to-training similarity (4, 4) of gsplat's example trainers.
 
     Mean camera up becomes -y, the median of the points where the optical axes pass closest to the origin moves to the
     origin, the median camera distance becomes 1; then the points' principal axes, largest first, become x, y, z.
@@ -84,7 +84,7 @@ def world_from_training(path: Path, by: WorldBy | None, position: np.ndarray) ->
         path: a COLMAP folder, or JSON with "training_to_world".   by: whose normalisation; None = found out.
         position: (N, 3) of the Gaussians in the training's world.
     Raises:
-        DataFormatError: no model or matrix there, or nothing tells the readings apart and nobody said which.
+        DataFormatError: no model or matrix there, or nothing tells the readings apart and the options do not either.
     """
     if path.is_file():
         return _stored(path), f"scene normalisation undone with {path}"
@@ -145,7 +145,7 @@ def _readings(poses: Poses, points: np.ndarray, by: WorldBy | None) -> Iterator[
 
 
 def _distance(matrix: np.ndarray, position: np.ndarray, points: np.ndarray) -> float:
-    """Median distance of the points from the nearest Gaussian, in units of the points' spread."""
+    """Return median distance of the points from the nearest Gaussian, in units of the points' spread."""
     points, position = (
         values[:: max(1, len(values) // most)] for values, most in zip((points, position), SAMPLES, strict=True)
     )
@@ -155,7 +155,7 @@ def _distance(matrix: np.ndarray, position: np.ndarray, points: np.ndarray) -> f
 
 
 def _principal_axes(offsets: np.ndarray) -> np.ndarray:
-    """(3, 3): rows are the principal axes, largest first."""
+    """Return (3, 3): rows are the principal axes, largest first."""
     values, axes = np.linalg.eigh(np.cov(offsets, rowvar=False))
     return axes[:, values.argsort()[::-1]].T
 

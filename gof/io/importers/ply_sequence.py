@@ -84,7 +84,7 @@ def difference_notes(trajectory: Trajectory) -> list[str]:
 
 
 def clock_notes(trajectory: Trajectory, options: ImportOptions) -> list[str]:
-    """A trajectory's times are seconds by its schema; a note where they last much longer than the clip."""
+    """Return a trajectory's times are seconds by its schema; a note where they last much longer than the clip."""
     first, last = trajectory.covered_s
     clip = 0.0 if options.clip_s is None else options.clip_s[1] - options.clip_s[0]
     if not 0 < 2 * clip < last - first:
@@ -97,7 +97,7 @@ def _plys(folder: Path) -> list[Path]:
 
 
 def _require_times(files: list[tuple[int, Path]], states: list[dict[str, np.ndarray]]) -> None:
-    """Raises DataFormatError: the numbers are a training's steps, or of several pictures of one time."""
+    """Raise DataFormatError: the numbers are a training's steps, or of several pictures of one time."""
     path = files[0][1]
     if TRAININGS.fullmatch(frame_of(path)[0].replace("#", "")):
         raise DataFormatError(

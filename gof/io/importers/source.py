@@ -32,7 +32,7 @@ FLAGS = {
 
 @dataclass(frozen=True)
 class ImportOptions:
-    """What a foreign file does not say about itself.
+    """Facts that a foreign file does not hold about itself.
 
     Attributes:
         time_unit_s: seconds per unit of the method's time; None = the importer's documented default, or an error.
@@ -69,7 +69,7 @@ class ImportOptions:
                 raise GofError(f"--code-date {self.code_date}: write a date as 2024-09-15") from e
 
     def given(self) -> list[str]:
-        """The fields of FLAGS that differ from their defaults."""
+        """Return the fields of FLAGS that differ from their defaults."""
         return [name for name in FLAGS if getattr(self, name) not in (None, 0.0)]
 
 
@@ -139,7 +139,7 @@ class Source:
 
 
 def array(value: Any, name: str, shape: tuple[int | None, ...], path: Path) -> np.ndarray:
-    """A tensor of a checkpoint, or an array of an npz, as numpy with its shape checked; None matches any length.
+    """Return a tensor of a checkpoint, or an array of an npz, as numpy with its shape checked; None matches any length.
 
     Floats come as float32; what else there is keeps its type.
 
@@ -182,7 +182,7 @@ def require_unit(times: np.ndarray, options: ImportOptions, path: Path) -> None:
     Args:
         times: of the Gaussians, or first and last.
     Raises:
-        DataFormatError: nobody gave a unit, and they last much longer or shorter (says which units could be meant).
+        DataFormatError: no unit was given, and they last much longer or shorter (says which units could be meant).
     """
     if options.time_unit_s is not None or options.clip_s is None:
         return

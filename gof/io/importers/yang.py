@@ -17,7 +17,7 @@ from gof.core.gaussians import TransientGaussians
 from gof.core.harmonics import plain_color
 from gof.core.ply import activate_scale, quaternions, sigmoid
 from gof.core.rotations import quaternions_wxyz
-from gof.io.importers.authors import is_capture
+from gof.io.importers.paper_code import is_capture
 from gof.io.importers.source import Imported, ImportOptions, Source, array, require_unit
 
 OPTIONS = ("time_unit_s", "time_zero_s", "code_date")
@@ -81,7 +81,8 @@ def read(source: Source, options: ImportOptions) -> Imported:
 
 
 def _training_settings(path: Path) -> dict[str, object]:
-    """The numbers of a training's `cfg_args`, "Namespace(name=value, ...)"; read, never executed. Empty without one."""
+    """Return the numbers of a training's `cfg_args`, "Namespace(name=value, ...)"; read, never executed. Empty without
+    one."""
     if not path.is_file() or path.stat().st_size > LONGEST_SETTINGS:
         return {}
     try:
@@ -96,7 +97,7 @@ def _is_number(node: ast.expr) -> bool:
 
 
 def _is_flipped(settings: dict[str, object], options: ImportOptions) -> tuple[bool, str]:
-    """Whether the 4D rotation is meant as since 2024-09-15, and in words why."""
+    """Return whether the 4D rotation is meant as since 2024-09-15, and in words why."""
     if options.code_date is not None:
         flipped = date.fromisoformat(options.code_date) >= FLIPPED_SINCE
         return flipped, f"its 4D rotation read as of code {'since' if flipped else 'before'} {FLIPPED_SINCE}"
@@ -109,7 +110,7 @@ def _is_flipped(settings: dict[str, object], options: ImportOptions) -> tuple[bo
 
 
 def _prefilter(settings: dict[str, object]) -> tuple[float, str]:
-    """What widens the temporal window when it is drawn, in its time squared, and where that is known from."""
+    """Return what widens the temporal window when it is drawn, in its time squared, and where that is known from."""
     value = settings.get("prefilter_var", settings and -1.0)
     if isinstance(value, (int, float)) and np.isfinite(value):
         return max(float(value), 0.0), f"prefilter_var {value:g}, by cfg_args beside it"
@@ -117,7 +118,7 @@ def _prefilter(settings: dict[str, object]) -> tuple[float, str]:
 
 
 def covariance_4d(scale: np.ndarray, left: np.ndarray, right: np.ndarray, flipped: bool = True) -> np.ndarray:
-    """(N, 4, 4) covariance of standard deviations (N, 4) turned by the pair of quaternions (N, 4), (N, 4).
+    """Return (N, 4, 4) covariance of standard deviations (N, 4) turned by the pair of quaternions (N, 4), (N, 4).
 
     The rotation of 4-space x -> l x r, in the component order x, y, z, t; `flipped`: in the order t, z, y, x.
     """
@@ -138,7 +139,7 @@ def condition_on_time(covariance: np.ndarray) -> tuple[np.ndarray, np.ndarray, n
 
 
 def principal_axes(covariance: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Standard deviations (N, 3) and quaternions (N, 4) wxyz of covariances (N, 3, 3)."""
+    """Return standard deviations (N, 3) and quaternions (N, 4) wxyz of covariances (N, 3, 3)."""
     values, axes = np.linalg.eigh(covariance)
     axes[np.linalg.det(axes) < 0, :, 0] *= -1
     floor = 1e-12 * np.maximum(values.max(1, keepdims=True), 1e-30)  # rounding may leave a flat one below zero
@@ -146,7 +147,8 @@ def principal_axes(covariance: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _peak_color(sh: np.ndarray) -> tuple[np.ndarray, list[str]]:
-    """Colours swing as cos(2 pi k dt / duration), k = 0, 1, 2, in blocks of 16; their sum shows at the peak, dt = 0."""
+    """Return colours swing as cos(2 pi k dt / duration), k = 0, 1, 2, in blocks of 16; their sum shows at the peak, dt
+    = 0."""
     if sh.shape[1] in (1, 4, 9, 16):
         return sh, []
     if sh.shape[1] in (32, 48):

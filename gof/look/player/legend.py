@@ -12,7 +12,11 @@ from gof.evaluate.intervals import weighted_quantile
 # Controls, in the order in which the page shows them
 CAMERA = "Camera"
 COLOUR = "Colour"
-COLOURS = ("Radiance", "Speed", "Doubt")  # of the light; of the gas, m/s; standard deviation of its components, m/s
+COLOURS = (
+    "Radiance",
+    "Speed",
+    "Uncertainty",
+)  # of the light; of the gas, m/s; standard deviation of its components, m/s
 LINES = "Velocity lines"
 SIZE = "Size of Gaussians"
 SIZE_PERCENT = (5, 150, 5)  # least, most, step; 100 = as they are
@@ -30,7 +34,7 @@ MOST_LINES = 9000  # Gaussians of a result that have a velocity line; a quarter 
 LINE_SHARE = 0.03  # of the clip, that a velocity line lasts
 SPEED_NOTE = "Speed."
 LINE_NOTE = "A line is the way of {} ms."
-DOUBT_NOTE = "How unsure the velocity is, as the result says: standard deviation of a component. Grey: not known."
+UNCERTAINTY_NOTE = "How unsure the velocity is, as the result says: standard deviation of a component. Grey: not known."
 
 
 def speed_scale(results: Sequence[TransientGaussians], others: Sequence[np.ndarray | None] = ()) -> float:
@@ -44,14 +48,14 @@ def speed_scale(results: Sequence[TransientGaussians], others: Sequence[np.ndarr
     return _scale([(np.linalg.norm(v, axis=-1)[g.dynamic], g.opacity[g.dynamic]) for g, v in fields])
 
 
-def doubt_scale(results: Sequence[TransientGaussians]) -> float:
+def uncertainty_scale(results: Sequence[TransientGaussians]) -> float:
     """m/s of the last colour over all results; 0 = no result says."""
     known = [g[g.dynamic & np.isfinite(g.velocity_sd)] for g in results]
     return _scale([(g.velocity_sd, g.opacity) for g in known])
 
 
 def line_s(length_s: float) -> float:
-    """Seconds that a line lasts in a clip of this length: a round number."""
+    """Return seconds that a line lasts in a clip of this length: a round number."""
     return float(f"{LINE_SHARE * length_s:.1g}")
 
 
@@ -65,7 +69,7 @@ def line_note(seconds: float) -> str:
 
 
 def _short(value: float) -> str:
-    """Two digits, never as a power of ten."""
+    """Return two digits, never as a power of ten."""
     return np.format_float_positional(float(f"{value:.2g}"), trim="-")
 
 

@@ -85,12 +85,12 @@ class Live:
         return not isinstance(self._opened.gaussians, TransientGaussians)
 
     def _state(self, time_s: float) -> TransientGaussians:
-        """The result itself, where its motion is a closed form; else its Gaussians at a time that it knows."""
+        """Return the result itself, where its motion is a closed form; else its Gaussians at a time that it knows."""
         gaussians = self._opened.gaussians
         return gaussians.state_at(float(np.clip(time_s, *gaussians.covered_s))) if self._sampled else gaussians
 
     def _shown(self) -> dict[str, Any]:
-        """All that changes with the result."""
+        """Return all that changes with the result."""
         setting, opened = self.setting, self._opened
         times = setting.first_s + setting.length_s * np.linspace(0, 1, SAMPLED if self._sampled else 1)
         states = [self._state(time_s) for time_s in times]

@@ -27,7 +27,8 @@ class Opened:
 
 
 def newest(path: Path) -> Path:
-    """The file to show: a folder's finished result, else its snapshot; of a demo's folder, the reconstruction in it.
+    """Return the file to show: a folder's finished result, else its snapshot; of a demo's folder, the reconstruction in
+    it.
 
     Raises:
         GofError: a folder of ours with neither yet.
@@ -73,13 +74,14 @@ def open_moving(path: Path, options: ImportOptions | None = None, name: str | No
 
 
 def dataset_beside(path: Path) -> Path | None:
-    """The dataset that a demo or a report keeps beside its result; None where there is none."""
+    """Return the dataset that a demo or a report keeps beside its result; None where there is none."""
     folders = [path, path.parent] if path.is_dir() else [path.parent, path.parent.parent]
     return next((f / "dataset" for f in folders if (f / "dataset" / "dataset.json").is_file()), None)
 
 
 def time_span(result: MovingGaussians, dataset: Dataset | None) -> tuple[float, float]:
-    """First and last second worth showing: the dataset's frames, else the middle times of the moving Gaussians."""
+    """Return first and last second worth showing: the dataset's frames, else the middle times of the moving
+    Gaussians."""
     if dataset is not None:
         return float(dataset.times_s[0]), float(dataset.times_s[-1])
     if not isinstance(result, TransientGaussians):
@@ -89,7 +91,8 @@ def time_span(result: MovingGaussians, dataset: Dataset | None) -> tuple[float, 
 
 
 def middle_of(gaussians: TransientGaussians, time_s: float) -> tuple[np.ndarray, float]:
-    """Where the flame is at a time: the middle (3,) m of 96 % of it along each axis, and half its longest side, m."""
+    """Return where the flame is at a time: the middle (3,) m of 96 % of it along each axis, and half its longest side,
+    m."""
     position, opacity = gaussians.at(time_s)
     seen = (opacity >= VISIBLE) & (gaussians.dynamic | ~gaussians.dynamic.any())
     if not seen.any():

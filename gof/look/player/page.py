@@ -24,12 +24,11 @@ from gof.core.files import atomic_path
 from gof.core.gaussians import TransientGaussians
 from gof.dataset import Dataset
 from gof.dataset.plates import background
-from gof.look.images import VIRIDIS, base64_text, ramp
+from gof.look.images import PLATE_QUALITY, PLATE_SIDE, VIRIDIS, base64_text, frames_within, ramp, webp
 from gof.look.pages import template
 from gof.look.player import legend
 from gof.look.player.opened import Opened, middle_of, time_span
 from gof.look.player.quantise import Agreement, Packed, measure, pack, unpack
-from gof.look.player.recorded import PLATE_QUALITY, PLATE_SIDE, frames_within, webp
 
 PLAYER = Path(__file__).parent
 SCRIPTS = ("unpack.js", "view.js", "draw.js", "pictures.js", "player.js")
@@ -104,7 +103,7 @@ class PageSetting:
             "colours": legend.COLOURS,
             "notes": {
                 "speed": legend.SPEED_NOTE,
-                "doubt": legend.DOUBT_NOTE,
+                "uncertainty": legend.UNCERTAINTY_NOTE,
                 "line": legend.line_note(legend.line_s(self.length_s)),
             },
         }, said
@@ -117,12 +116,12 @@ class PageSetting:
 
 def scales(states: Sequence[TransientGaussians], truths: Sequence[np.ndarray | None]) -> dict[str, Any]:
     """Return what the last colours mean, and the words below the colours, of all these Gaussians."""
-    speed_max, doubt_max = legend.speed_scale(states, truths), legend.doubt_scale(states)
+    speed_max, uncertainty_max = legend.speed_scale(states, truths), legend.uncertainty_scale(states)
     return {
         "speed_max": speed_max,
-        "doubt_max": doubt_max,
+        "uncertainty_max": uncertainty_max,
         "speed_ticks": legend.ticks(speed_max),
-        "doubt_ticks": legend.ticks(doubt_max),
+        "uncertainty_ticks": legend.ticks(uncertainty_max),
     }
 
 
@@ -195,7 +194,8 @@ def measured_alike(results: list[Opened], dataset: Dataset | None) -> list[Opene
 
 
 def assemble(content: dict[str, Any], title: str) -> str:
-    """The page: texts of `player/` around the content. Only the script and the style that are in it may run in it."""
+    """Return the page: texts of `player/` around the content. Only the script and the style that are in it may run in
+    it."""
     live = content.get("live", False)
     script = "\n".join(_text(name) for name in (*([LIVE] if live else []), *SCRIPTS))
     style = _text("style.css")
@@ -214,7 +214,8 @@ def assemble(content: dict[str, Any], title: str) -> str:
 
 
 def front_camera(middle: np.ndarray, reach: float) -> Camera:
-    """A camera before a flame, so far that it fills most of the picture: where no dataset says where to stand."""
+    """Return a camera before a flame, so far that it fills most of the picture: where no dataset says where to
+    stand."""
     width, height, focal = 720, 960, 1400.0
     eye = middle - np.array([0.0, max(2 * reach * focal / (FILLED * height), 3 * reach), 0.0])
     rows = np.array([[1.0, 0, 0], [0, 0, -1.0], [0, 1.0, 0]])
@@ -241,7 +242,7 @@ def _hash(text: str) -> str:
 
 
 def _views(dataset: Dataset | None) -> list[tuple[Dataset, int]]:
-    """The cameras that a method may learn from, then those for novel views."""
+    """Return the cameras that a method may learn from, then those for novel views."""
     if dataset is None:
         return []
     novel = dataset.evaluation_view()

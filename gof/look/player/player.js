@@ -2,9 +2,9 @@
 
 // The page: what is shown, who may change it, and a loop that draws it when it has changed.
 
-const RADIANCE = 0, SPEED = 1, DOUBT = 2;
-const COLOURINGS = ["radiance", "speed", "doubt"];
-const TRUTH_OF = { [SPEED]: 3, [DOUBT]: 4 }; // how the true velocity colours the same Gaussians (splat.vert.glsl)
+const RADIANCE = 0, SPEED = 1, UNCERTAINTY = 2;
+const COLOURINGS = ["radiance", "speed", "uncertainty"];
+const TRUTH_OF = { [SPEED]: 3, [UNCERTAINTY]: 4 }; // how the true velocity colours the same Gaussians (splat.vert.glsl)
 const FADE_DEGREES = 4; // a plate is true for its camera only: it is gone this far from it
 const STILL_MS = 250; // after this the picture is drawn in full resolution
 
@@ -142,7 +142,7 @@ async function paint(scale) {
     };
   });
   orders.forEach((rows, i) => drawer.order(once[i], rows));
-  const largest = colouring === DOUBT ? share.doubt_max : share.speed_max;
+  const largest = colouring === UNCERTAINTY ? share.uncertainty_max : share.speed_max;
   const shot = { view, time, grow: state.size, largest, fastest: share.speed_max, span: share.line_s, thick: 1.6 * ratio };
   drawer.draw(shot, panes);
   measured.sort = ms;
@@ -176,7 +176,7 @@ function caption(number, cloud, { frame, here, filmed }, behind) {
   const known = clouds[cloud].columns.v_true;
   const whose = `at the Gaussians of ${share.results[cloud].name}`;
   if (colouring === SPEED) return known ? ["True speed", whose] : ["True speed", "this dataset does not know it"];
-  if (colouring === DOUBT) return known ? ["True error of the velocity", `of a component, ${whose}`] : ["True error", "not known"];
+  if (colouring === UNCERTAINTY) return known ? ["True error of the velocity", `of a component, ${whose}`] : ["True error", "not known"];
   if (behind) {
     const held = share.held_out.includes(frame) ? ", held out" : "";
     const where = here ? "" : ", the nearest camera's own view";
@@ -316,7 +316,7 @@ function step(direction) {
 }
 
 const milliseconds = (s) => (1e3 * s).toFixed(1);
-const offered = () => [RADIANCE, SPEED, DOUBT].filter((n) => n === RADIANCE || (n === SPEED ? share.speed_max : share.doubt_max) > 0);
+const offered = () => [RADIANCE, SPEED, UNCERTAINTY].filter((n) => n === RADIANCE || (n === SPEED ? share.speed_max : share.uncertainty_max) > 0);
 
 /** Bring the controls in line with the state. */
 function show() {
@@ -350,21 +350,21 @@ function show() {
 
 /** The legend in m/s of whatever is coloured by a velocity. */
 function showScale() {
-  const doubt = state.colouring === DOUBT;
+  const uncertainty = state.colouring === UNCERTAINTY;
   const visible = state.colouring !== RADIANCE || state.lines;
   byId("scale").hidden = !visible;
-  const says = `${doubt} ${visible} ${state.colouring} ${state.lines} ${share.speed_max} ${share.doubt_max}`;
+  const says = `${uncertainty} ${visible} ${state.colouring} ${state.lines} ${share.speed_max} ${share.uncertainty_max}`;
   if (!visible || byId("scale").dataset.says === says) return;
   byId("scale").dataset.says = says;
-  const largest = doubt ? share.doubt_max : share.speed_max;
+  const largest = uncertainty ? share.uncertainty_max : share.speed_max;
   const stops = Array.from({ length: 17 }, (_, i) => share.scheme.slice(3 * Math.min(255, 16 * i)).slice(0, 3));
   byId("scale-bar").style.background = `linear-gradient(90deg, ${stops.map((rgb) => `rgb(${rgb})`).join(", ")})`;
   byId("scale-bar").setAttribute("aria-label", `Colours from 0 to ${largest.toPrecision(3)} metres per second and more`);
-  const words = doubt ? share.doubt_ticks : share.speed_ticks;
+  const words = uncertainty ? share.uncertainty_ticks : share.speed_ticks;
   const ticks = words.map((textContent) => Object.assign(document.createElement("span"), { textContent }));
   byId("scale-ticks").replaceChildren(...ticks);
-  const { speed, doubt: unsure, line } = share.notes;
-  byId("scale-note").textContent = doubt ? unsure : state.lines ? `${speed} ${line}` : speed;
+  const { speed, uncertainty: unsure, line } = share.notes;
+  byId("scale-note").textContent = uncertainty ? unsure : state.lines ? `${speed} ${line}` : speed;
 }
 
 function showFacts() {
@@ -427,7 +427,8 @@ function fromHash(hash) {
   state.view = (said.has("view") && viewFromText(said.get("view"), share.cameras[state.camera])) || homeView();
   const time = number("t", 0, 1e3 * share.length_s);
   if (time !== null) state.time = time / 1e3;
-  const colouring = COLOURINGS.indexOf(said.get("colour"));
+  const named = said.get("colour") === "doubt" ? "uncertainty" : said.get("colour"); // links of 0.2
+  const colouring = COLOURINGS.indexOf(named);
   state.colouring = offered().includes(colouring) ? colouring : RADIANCE;
   state.lines = said.get("lines") === "1";
   state.plate = said.get("plate") !== "0";

@@ -154,7 +154,7 @@ def measure(
 
 
 def _linear(name: str, values: np.ndarray, size: int) -> tuple[Column, bytes]:
-    """A grid that has 0 on it where the values lie on both sides of it: what stands still must not creep."""
+    """Return a grid that has 0 on it where the values lie on both sides of it: what stands still must not creep."""
     values = np.asarray(values, np.float64)
     low, high = values.min(0, initial=np.inf), values.max(0, initial=-np.inf)
     if not len(values):
@@ -168,7 +168,7 @@ def _linear(name: str, values: np.ndarray, size: int) -> tuple[Column, bytes]:
 
 
 def _log(name: str, values: np.ndarray) -> tuple[Column, bytes]:
-    """One byte each; all parts share a grid, and infinity has a number of its own."""
+    """Return one byte each; all parts share a grid, and infinity has a number of its own."""
     values = np.asarray(values, np.float64)
     finite = np.log(values[np.isfinite(values) & (values > 0)])
     low, high = (finite.min(), finite.max()) if len(finite) else (0.0, 0.0)
@@ -194,7 +194,8 @@ def _values(column: Column, code: np.ndarray) -> np.ndarray:
 
 
 def _rotation(quaternions: np.ndarray) -> tuple[Column, bytes]:
-    """The three smaller parts of a unit quaternion, each at most sqrt(1/2), and which part is the largest: 32 bits."""
+    """Return the three smaller parts of a unit quaternion, each at most sqrt(1/2), and which part is the largest: 32
+    bits."""
     q = np.asarray(quaternions, np.float64)
     largest = np.abs(q).argmax(-1)
     q = q * np.where(np.take_along_axis(q, largest[:, None], -1) < 0, -1, 1)
