@@ -170,7 +170,8 @@ def _room(spec: SceneSpec) -> Iterator[Finding]:
     for axis in (0, 1):
         if box.min[axis] < room.low[axis] or (axis == 0 and box.max[0] > room.high[0]):
             yield Finding(f"domain: {box_text(box)} is larger than the {spec.background}; {large}", True)
-    for name, place in places.items():
+    for name in spec.cameras.whole_clip:  # those all around see through what is nearer than the fire
+        place = places[name]
         if place[1] > room.high[1]:
             text = (
                 f"cameras: {name} at {point_text(place)} stands behind the {room.wall} of the {spec.background}, which "

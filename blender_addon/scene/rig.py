@@ -10,6 +10,7 @@ from ..core.description import CameraEntry
 from ..pure.rig import AROUND, Rig, positions, role_of
 from ..pure.spec import SceneSpec
 
+NEAREST = 0.05  # m; what is nearer to a camera is not drawn
 SENSOR_MM = 36.0  # long side of the sensor
 READOUT = {0: "down", 90: "left", 180: "up", -90: "right"}
 """Direction in the stored (upright) image in which successive sensor rows are read, per roll of the camera body."""
@@ -26,13 +27,25 @@ def build(spec: SceneSpec, collection: bpy.types.Collection) -> list[bpy.types.O
         # The focal length refers to the sensor's long side, which is vertical in a portrait image.
         data.sensor_fit = "VERTICAL" if rig.portrait else "HORIZONTAL"
         data.sensor_width = data.sensor_height = SENSOR_MM
-        data.clip_start, data.clip_end = 0.05, 1000.0
+        nearest = _fire_begins_at(spec, pose) if role_of(name) == "around" else 0.0
+        data.clip_start, data.clip_end = max(nearest, NEAREST), 1000.0
         camera = bpy.data.objects.new(name, data)
         collection.objects.link(camera)
         camera.matrix_world = pose
         cameras.append(camera)
     bpy.context.scene.camera = cameras[0]
     return cameras
+
+
+def _fire_begins_at(spec: SceneSpec, pose: Matrix) -> float:
+    """Return how far before a camera the fire's box begins, m; below 0 for a camera in it.
+
+    Surroundings are made to be seen from one side: what of them is nearer than the fire would hide it.
+    """
+    box = spec.box
+    corners = np.array(np.meshgrid(*zip(box.min, box.max, strict=True))).reshape(3, -1).T
+    x = np.array(pose, np.float64)
+    return float((-(corners - x[:3, 3]) @ x[:3, 2]).min())
 
 
 def set_picture_size(spec: SceneSpec) -> None:
