@@ -54,7 +54,7 @@ class DemoConfig:
 
 
 def spec_of(config: DemoConfig) -> SceneSpec:
-    """The scene, also seen from all around, so that the flame is scored from where it was not filmed, too.
+    """Return the scene, also seen from all around, so that the flame is scored from where it was not filmed, too.
 
     Raises GofError: there is no such scene.
     """

@@ -201,7 +201,7 @@ class Camera:
 
 
 def bent_by(fields: dict[str, Any]) -> list[str]:
-    """The fields of another program's camera by which its pictures are distorted; none of `Camera`'s are."""
+    """Return the fields of another program's camera by which its pictures are distorted; none of `Camera`'s are."""
     found = [name for name in fields if (name in BENT or name.startswith("ftheta_p")) and _says(fields[name])]
     models = {name: fields[name] for name in ("camera_model", "model") if fields.get(name, "OPENCV") not in STRAIGHT}
     return found + [f"{name} {str(model)[:40]}" for name, model in models.items()]

@@ -17,7 +17,8 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from html import escape
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal, NamedTuple
+from statistics import fmean
+from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 
 import numpy as np
 
@@ -225,7 +226,7 @@ def _plain(name: str, size: ChartSize) -> str:
     return textwrap.fill(name, letters).replace("$", "\\$").lstrip("_") or "-"
 
 
-def _tip(*words: str) -> dict[str, str]:
+def _tip(*words: str) -> dict[str, Any]:
     """Return what a mark says, as an argument of matplotlib's."""
     return {"gid": TIP + ", ".join(word for word in words if word)}
 
@@ -421,19 +422,19 @@ def frame_chart(scores: Scores) -> Chart | None:
 
 def around_chart(scores: Scores) -> Chart | None:
     """Make a chart of the flame's PSNR by the angle from the nearest given camera; None without such views."""
-    known = [view for view in scores.around if view.psnr_flame is not None]
+    known = [(view, view.psnr_flame) for view in scores.around if view.psnr_flame is not None]
     if not known:
         return None
-    angles = sorted({round(view.angle_deg) for view in known})
-    means = [np.mean([view.psnr_flame for view in known if round(view.angle_deg) == angle]) for angle in angles]
+    angles = sorted({round(view.angle_deg) for view, _ in known})
+    means = [fmean(psnr for view, psnr in known if round(view.angle_deg) == angle) for angle in angles]
     lines = ["mean", "a camera"]
 
     def fill(axes: Axes) -> None:
         axes.plot(angles, means, color=COLOURS[0], linewidth=1.4, label=lines[0])
-        for k, view in enumerate(known):
-            tip = _tip(view.camera, f"{view.angle_deg:.0f} degrees", f"{view.psnr_flame:.2f} dB")
-            style = {"color": COLOURS[0], "marker": "o", "markersize": 3.5, "linestyle": "none"}
-            axes.plot([view.angle_deg], [view.psnr_flame], label=lines[1] if k == 0 else None, **style, **tip)
+        for k, (view, psnr) in enumerate(known):
+            tip = _tip(view.camera, f"{view.angle_deg:.0f} degrees", f"{psnr:.2f} dB")
+            label = lines[1] if k == 0 else None
+            axes.plot([view.angle_deg], [psnr], "o", color=COLOURS[0], markersize=3.5, label=label, **tip)
 
     title = "Flame PSNR from all around (higher is better)"
     return _chart(title, "angle from the nearest given camera (degrees)", "PSNR flame (dB)", lines, COLUMN, fill)

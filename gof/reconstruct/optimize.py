@@ -220,8 +220,7 @@ class Flame:
         if unseen is not None:
             views.append((unseen.time_s - self.start_s, unseen.camera))
         rows = [alight(self.optimizer, self.voxel_size, time_s, camera) for time_s, camera in views]
-        rows = rows[0] if len(rows) == 1 else np.union1d(*rows)
-        return self.optimizer.only(per_gaussian(self.optimizer), rows)
+        return self.optimizer.only(per_gaussian(self.optimizer), np.unique(np.concatenate(rows)))
 
     def drawn(self, shown: Raw, f: int, c: int) -> Drawn:
         """Camera c's view of frame f; differentiable."""
