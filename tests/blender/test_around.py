@@ -1,5 +1,7 @@
 """Cameras all around a fire: where they stand, of which frames they have pictures, and what they do not change."""
 
+import subprocess
+import sys
 from dataclasses import replace
 
 import numpy as np
@@ -7,6 +9,7 @@ import pytest
 
 from gof_blender.core.checked_json import SpecError
 from gof_blender.pure.clip import Clip
+from gof_blender.pure.plausibility import findings
 from gof_blender.pure.rig import Pose, Rig, positions, role_of, seen
 from gof_blender.pure.spec import SceneSpec, frames_around
 
@@ -48,3 +51,29 @@ def test_more_frames_than_the_clip_has_are_refused():
         SceneSpec("fire", clip=Clip(frames=4, warm_up_frames=30), cameras=replace(RIG, around_frames=5))
     with pytest.raises(SpecError, match="cameras.around_frames must be 0 or more"):
         replace(RIG, around_frames=-1)
+
+
+def test_they_stand_behind_a_wall_where_the_others_may_not():
+    spec = SceneSpec("fire", clip=Clip(warm_up_frames=30), cameras=Rig(around_frames=2), background="workshop")
+    assert [str(f) for f in findings(spec) if "behind" in f.text] == []
+    behind = replace(spec, cameras=replace(spec.cameras, azimuth_deg=90))
+    assert {f.text.split()[1] for f in findings(behind) if "behind" in f.text} >= {"cam_1"}
+
+
+def test_they_see_through_what_is_nearer_than_the_fires_box():
+    """A camera at y = 3 that looks along -y at a box which ends at y = 0.4; one among those given sees all."""
+    pytest.importorskip("bpy")
+    code = """
+import bpy, sys
+from gof_blender.pure.rig import Rig
+from gof_blender.pure.spec import SceneSpec
+from gof_blender.pure.fires import Domain
+from gof_blender.scene import rig
+spec = SceneSpec("fire", domain=Domain(min=(-0.4, -0.4, 0.0), size=(0.8, 0.8, 1.6)),
+                 cameras=Rig(count=1, radius=3, height=0.5, look_at=(0, 0, 0.5), azimuth_deg=-90, around_frames=1))
+rig.build(spec, bpy.context.scene.collection)
+print("near", *(bpy.data.cameras[name].clip_start for name in ("cam_0", "around_180")))
+"""
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=120)
+    near = done.stdout.partition("near ")[2].split()
+    assert list(map(float, near)) == pytest.approx([0.05, 2.6], abs=1e-4), done.stderr

@@ -12,9 +12,18 @@ import numpy as np
 import pytest
 
 from gof.core.errors import GofError
-from gof.evaluate.scores import FrameScore
+from gof.evaluate.scores import AroundScore, FrameScore
 from gof.look import charts
-from gof.look.charts import COLOURS, Point, accuracy_chart, frame_chart, frame_times_chart, line_chart, stream_chart
+from gof.look.charts import (
+    COLOURS,
+    Point,
+    accuracy_chart,
+    around_chart,
+    frame_chart,
+    frame_times_chart,
+    line_chart,
+    stream_chart,
+)
 from tests.look.printed import curves, marks, texts
 
 RISING = [(1.0, 10.0, "few"), (10.0, 100.0, "more"), (100.0, 1000.0, "")]
@@ -146,6 +155,19 @@ def test_scores_of_frames_have_gaps_and_levels(tmp_path):
     np.testing.assert_allclose(np.diff(places[:, 1]) / np.ptp(places[:, 1]), [-1 / 3, -2 / 3], atol=1e-3)
     assert {"standing still", "one constant vector", "time (ms)"} <= set(texts(svg))
     assert frame_chart(SimpleNamespace(dve=SimpleNamespace(frames=frames[:2]), trivial_baselines={})) is None
+
+
+def test_scores_from_all_around_are_at_their_angles_and_the_line_is_their_mean(tmp_path):
+    views = [("a", 0.0, 30.0), ("b", 45.0, 24.0), ("c", 45.2, 20.0), ("d", 90.0, 20.0), ("no flame", 135.0, None)]
+    scores = SimpleNamespace(around=[AroundScore(camera=n, angle_deg=a, pictures=1, psnr_flame=p) for n, a, p in views])
+    around_chart(scores).write(tmp_path / "around.svg")
+    svg = (tmp_path / "around.svg").read_text()
+    places = np.array(marks(svg)["#c2410c"])
+    np.testing.assert_allclose(np.diff(places[:, 0]) / np.ptp(places[:, 0]), [0.5, 0.2 / 90, 44.8 / 90], atol=2e-3)
+    np.testing.assert_allclose(np.diff(places[:, 1]) / np.ptp(places[:, 1]), [0.6, 0.4, 0], atol=2e-3)  # y downwards
+    line = np.array(curves(svg, "#c2410c")[0])
+    assert line[1, 1] == pytest.approx(places[1:3, 1].mean(), abs=0.01) and len(line) == 3
+    assert around_chart(SimpleNamespace(around=())) is None
 
 
 # ---------------------------------------------------------------- streams
