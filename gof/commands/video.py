@@ -25,7 +25,7 @@ from gof.io.importers.sidecar import with_said
 from gof.look.animation import STILL, require_film
 from gof.look.film import FilmOptions, Recorded, fitted, make_film
 from gof.look.panels import Panel, Subject
-from gof.look.path import Clock, Journey, Shot, Way, clock, orbit, shots, stay, through
+from gof.look.path import Clock, Journey, Shot, Way, clock, orbit, say_what_is_a_guess, shots, stay, through
 from gof.look.player.opened import Opened, dataset_beside, middle_of, open_moving, time_span
 from gof.look.player.page import front_camera
 
@@ -162,6 +162,8 @@ def main(argv: list[str]) -> int:
         mode, seconds = "freeze", 1 / config.fps
     times, along = clock(mode, span, style.slow, seconds, config.fps, stop)
     film_shots = shots(journey, times, along)
+    if dataset is not None:
+        film_shots = say_what_is_a_guess(film_shots, dataset.cameras)
     still = None if style.scene is None else _still_scene(Path(style.scene))
     subjects, behind = _subjects(results, still, dataset, number, film_shots[0], config)
     recorded = Recorded(dataset, number) if style.recorded else None

@@ -114,7 +114,8 @@ def make_film(
         scales = measure_scales(subjects, [shots[k] for k in _some(len(shots))])
         for done, number in enumerate(missing):
             page = draw_frame(subjects, shots[number], options, scales, recorded)
-            page = stamp(page, f"{1000 * (shots[number].time_s - zero_s):.1f} ms")
+            note = shots[number].note
+            page = stamp(page, f"{1000 * (shots[number].time_s - zero_s):.1f} ms" + (f", {note}" if note else ""))
             write_picture(files[number], page[..., ::-1])
             if progress:
                 progress(len(files) - len(missing) + done + 1, len(files))
@@ -171,7 +172,7 @@ def _key(
 ) -> str:
     """Sixteen hex digits that change with everything a frame shows."""
     look = {name: value for name, value in asdict(options).items() if name not in ("keep_frames", "fps")}
-    seen = [(shot.camera.to_dict(), shot.time_s) for shot in shots]
+    seen = [(shot.camera.to_dict(), shot.time_s, shot.note) for shot in shots]
     names = [subject.name for subject in subjects]
     said = json.dumps([gof.__version__, made_of, names, look, seen, recorded is not None and recorded.camera])
     return hashlib.sha256(said.encode()).hexdigest()[:16]

@@ -10,24 +10,39 @@ import numpy as np
 
 from gof.core.cameras import Camera
 from gof.core.errors import GofError
+from gof.evaluate.around import angles_deg
 
 Way = Literal["orbit", "cameras", "camera"]
 Clock = Literal["play", "freeze", "bullet"]
 Journey = Callable[[float], Camera]  # from 0 to 1 along a closed way: 0 and 1 are the same place
+GUESSED_DEG = 20.0  # from the nearest camera on, a flame's shape is a guess
 NO_STEP = 1e-6  # m: cameras nearer than this are one knot's width apart all the same
 
 
 @dataclass(frozen=True)
 class Shot:
-    """One picture of a film: a camera, and the time in seconds on the dataset clock."""
+    """One picture of a film: a camera, the time in seconds on the dataset clock, and words written below it."""
 
     camera: Camera
     time_s: float
+    note: str = ""
 
 
 def shots(journey: Journey, times_s: np.ndarray, along: np.ndarray) -> list[Shot]:
     """Return a film: at each of its (T,) times the camera that is so far (T,) along its way."""
     return [Shot(journey(float(share)), float(time)) for time, share in zip(times_s, along, strict=True)]
+
+
+def say_what_is_a_guess(film: Sequence[Shot], filmed: list[Camera]) -> list[Shot]:
+    """Return the shots, with a note at those from where no camera filmed the flame.
+
+    Args:
+        filmed: the cameras that did.
+    """
+    away = angles_deg([shot.camera for shot in film], filmed)
+    said = [f"{angle:.0f}\N{DEGREE SIGN} from the nearest camera: a guess" for angle in away]
+    noted = zip(film, away, said, strict=True)
+    return [replace(shot, note=words) if angle > GUESSED_DEG else shot for shot, angle, words in noted]
 
 
 def clock(

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from gof.core.errors import GofError
-from gof.look.path import clock, orbit, shots, stay, through
+from gof.look.path import Shot, clock, orbit, say_what_is_a_guess, shots, stay, through
 from tests.conftest import arc, look_at
 
 MIDDLE = np.array([0.3, -0.2, 1.0])
@@ -94,3 +94,12 @@ def test_a_camera_that_stays_keeps_its_shutter_and_one_that_flies_has_none():
     assert stay(rolling)(0.4) is rolling
     assert orbit(rolling, MIDDLE, 360)(0.4).row_time_s == 0
     assert [shot.time_s for shot in shots(stay(rolling), np.array([1.0, 2.0]), np.zeros(2))] == [1.0, 2.0]
+
+
+def test_shots_from_where_nobody_filmed_say_so():
+    """Cameras at -17, 0 and 17 degrees of a circle: 15 degrees beside the last is theirs, 60 is not."""
+    on_circle = [3 * np.array([np.sin(a), -np.cos(a), 0]) for a in np.radians([-17, 0, 17, 32, 77])]
+    cameras = [look_at("a", place, [0, 0, 0]) for place in on_circle]
+    film = [Shot(camera, 0.5) for camera in cameras[3:]]
+    first, second = say_what_is_a_guess(film, cameras[:3])
+    assert first == film[0] and second.note == "60\N{DEGREE SIGN} from the nearest camera: a guess"

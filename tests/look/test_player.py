@@ -318,6 +318,12 @@ def test_mouse_turns_moves_and_zooms(whole):
     assert distance[1] == pytest.approx(distance[0], rel=1e-6) and turned["pivot"] == start["pivot"]
     angle = np.arccos(np.dot(start["axes"][2], turned["axes"][2]))
     assert 0.3 < angle < 0.7
+    words = whole.run("byId('captions').textContent")
+    away = whole.run("awayFromCameras()")
+    filmed = whole.run("share.cameras.slice(0, share.given).map((_, i) => homeView(i).axes[2])")
+    expected = np.degrees(np.arccos(max(np.array(filmed) @ np.array(turned["axes"][2]))))
+    assert away == pytest.approx(expected, abs=1e-6)
+    assert ("its shape is a guess" in words) == (away >= 20)
     np.testing.assert_allclose(np.array(turned["axes"]) @ np.array(turned["axes"]).T, np.eye(3), atol=1e-9)
     moved = drag("right")
     np.testing.assert_allclose(np.subtract(moved["eye"], turned["eye"]), np.subtract(moved["pivot"], turned["pivot"]))

@@ -96,6 +96,7 @@ class PageSetting:
             "held_out": [] if dataset is None else dataset.test_frames,
             "centre": self.middle.tolist(),
             "start": 0 if dataset is None else len(dataset.cameras) // 2,
+            "given": 0 if dataset is None else len(dataset.cameras),  # the first cameras: a method may learn from them
             "cameras": [_camera(*item) for item in zip(self.cameras, plates, frames or [None], strict=True)],
             "line_s": legend.line_s(self.length_s),
             "lines": legend.MOST_LINES,

@@ -5,6 +5,7 @@
 const RADIANCE = 0, SPEED = 1, UNCERTAINTY = 2;
 const COLOURINGS = ["radiance", "speed", "uncertainty"];
 const TRUTH_OF = { [SPEED]: 3, [UNCERTAINTY]: 4 }; // how the true velocity colours the same Gaussians (splat.vert.glsl)
+const GUESSED_DEGREES = 20; // from the nearest camera on, a flame's shape is a guess
 const FADE_DEGREES = 4; // a plate is true for its camera only: it is gone this far from it
 const STILL_MS = 250; // after this the picture is drawn in full resolution
 
@@ -80,6 +81,12 @@ function nearness() {
 function nearest() {
   const along = (camera) => dot(homeView(camera).axes[2], state.view.axes[2]);
   return share.cameras.reduce((best, _, i) => (along(i) > along(best) + 1e-9 ? i : best), state.camera);
+}
+
+/** Degrees between the view and the nearest camera that filmed; 0 where nobody knows which did. */
+function awayFromCameras() {
+  const along = share.cameras.slice(0, share.given).map((_, i) => dot(homeView(i).axes[2], state.view.axes[2]));
+  return along.length ? (Math.acos(Math.min(1, Math.max(-1, ...along))) * 180) / Math.PI : 0;
 }
 
 function frameAt(time) {
@@ -172,7 +179,11 @@ function name(numbers, panes, shot, ratio) {
 
 function caption(number, cloud, { frame, here, filmed }, behind) {
   const { colouring } = state;
-  if (number !== RECORDED) return [panes().length > 1 || share.results.length > 1 ? share.results[number].name : "", ""];
+  if (number !== RECORDED) {
+    const away = awayFromCameras();
+    const guess = away < GUESSED_DEGREES ? "" : `${Math.round(away)}\u00b0 from the nearest camera: its shape is a guess`;
+    return [panes().length > 1 || share.results.length > 1 ? share.results[number].name : "", guess];
+  }
   const known = clouds[cloud].columns.v_true;
   const whose = `at the Gaussians of ${share.results[cloud].name}`;
   if (colouring === SPEED) return known ? ["True speed", whose] : ["True speed", "this dataset does not know it"];
