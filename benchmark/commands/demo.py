@@ -23,8 +23,8 @@ from gof.host.processes import python_command
 from gof.host.worker import run_worker
 from gof.reconstruct.presets import FLAGS, LEAST
 from gof_benchmark.scenes import load_scene
+from gof_blender.pure import spec as scene_spec
 from gof_blender.pure.spec import SceneSpec
-from gof_blender.pure.spec import save as save_spec
 
 AROUND_FRAMES = 2  # that the views from all around have
 
@@ -152,7 +152,9 @@ def main(argv: list[str]) -> int:
     """`gof demo [--out DIR]`; see --help."""
     config = read_options(DemoConfig, "demo", argv)
     claim(config.out / "demo.json", DemoSettings.of(config), config.out / "dataset" / "spec.json")
-    save_spec(spec_of(config), config.out / "scene.json")
+    scene, spec = config.out / "scene.json", spec_of(config)
+    if not scene.is_file() or scene_spec.load(scene) != spec:
+        scene_spec.save(spec, scene)
     start = time.perf_counter()
     run_stages(config)
     scores = Scores.read(evaluation(config))

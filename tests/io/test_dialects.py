@@ -663,7 +663,7 @@ def test_what_cameras_by_hand_say_besides(tmp_path, changes, words):
     camera = {"width": 100, "height": 80, "K": [[90, 0, 50], [0, 90, 40], [0, 0, 1]]}
     (tmp_path / "cameras.json").write_text(json.dumps({"cameras": [camera | changes]}))
     with pytest.raises(DataFormatError, match=rf"cameras\.json.*{words}"):
-        read_lenses(tmp_path / "cameras.json", 1)
+        read_lenses(tmp_path / "cameras.json", [tmp_path / "a.mp4"])
 
 
 # ---------------------------------------------------------------- alignment

@@ -111,7 +111,8 @@ def _cameras(folder: Path) -> None:
 def _read_cameras(folder: Path):
     from gof.footage.lens import read_cameras
 
-    return [(camera, camera.lens.turned("clockwise")) for camera in read_cameras(folder / "cameras.json", 2)]
+    videos = [Path("a.mp4"), Path("b.mp4")]
+    return [(camera, camera.lens.turned("clockwise")) for camera in read_cameras(folder / "cameras.json", videos)]
 
 
 def _video(number: int):
