@@ -105,7 +105,11 @@ def _require_possible(run: stages.Run, anyway: bool) -> None:
         gaussians += (MOST_GROWTH - 1) * settings.gaussians
     window = sanity.window_share(run.dataset) if run.method.windows else 1.0
     pixels = round(window * camera.width * camera.height)
-    seconds = of_all_steps * step_ms(settings.gaussians, pixels, native, run.method.density_control) / 1e3
+    seconds = (
+        of_all_steps
+        * step_ms(settings.gaussians, pixels, native, run.method.density_control, run.method.unseen > 0)
+        / 1e3
+    )
     voxels = max(settings.voxels, VOXELS) if uses_flow_prior(settings) else settings.voxels
     needed = memory.needed_for(run.dataset, gaussians, voxels, window)
     print(

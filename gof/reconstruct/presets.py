@@ -64,10 +64,11 @@ def effort_of(
 
 
 STILL_STEPS = 1 / 3  # of the flame's: the paper's 10 000 and 30 000
+HELD = 1.7  # times a step's time, where the flame is held over other plates and from all around (demo, preview)
 NATIVE_SHARE = 0.6  # of a step's time that is left with the native kernels
 
 
-def step_ms(gaussians: int, pixels: int, native: bool, all_drawn: bool = False) -> float:
+def step_ms(gaussians: int, pixels: int, native: bool, all_drawn: bool = False, held: bool = False) -> float:
     """Expected ms of an optimisation step on two free CPU cores.
 
     By hand through four runs on the demo, of 36 and of 50 frames: 60 000, 100 000, 120 000 and 300 000 Gaussians,
@@ -77,6 +78,9 @@ def step_ms(gaussians: int, pixels: int, native: bool, all_drawn: bool = False) 
         gaussians: in all frames together.   pixels: that are drawn.
         native: whether the renderer's native kernels run (`gof.render.backend.kernels`).
         all_drawn: whether every step has all Gaussians, and not those alone that are alight.
+        held: whether every step also draws a view from where no camera stood (`gof.reconstruct.unseen`).
     """
     per_gaussian = 0.085e-3 if all_drawn else 0.025e-3
-    return (8.8 + per_gaussian * gaussians + 0.113e-3 * pixels) * (NATIVE_SHARE if native else 1)
+    return (
+        (8.8 + per_gaussian * gaussians + 0.113e-3 * pixels) * (NATIVE_SHARE if native else 1) * (HELD if held else 1)
+    )
