@@ -65,5 +65,7 @@ def change_schedule(ablation: Ablation, schedule: Schedule) -> Schedule:
     if ablation == "no-mask":
         return replace(schedule, alpha_loss=0.0)
     if ablation == "joint-opt":
-        return replace(schedule, rates=replace(schedule.rates, plate=PLATE_RATE), plate_loss=0.0)
+        # What is light above a plate, no one knows who does not know the plate.
+        rates = replace(schedule.rates, plate=PLATE_RATE)
+        return replace(schedule, rates=rates, plate_loss=0.0, other_plates=0.0, unseen=0.0)
     return schedule

@@ -205,7 +205,7 @@ def fit(
         if still is None
         else StillScene(still, parts, field.voxels)
     )
-    unseen = imagine_views(field.voxels, observation) if method.unseen > 0 else None
+    unseen = imagine_views(field.voxels, observation) if schedule.unseen > 0 else None
     checkpoint = _checkpoint(run)
     spent = read_spent(checkpoint)
     curve = CurveLog(run.out, resumed_s=spent and spent.fitting_s)

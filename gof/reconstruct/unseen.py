@@ -86,7 +86,7 @@ def imagine_views(voxels: FlameVoxels, observation: Observation) -> UnseenViews 
 
 
 def unsaturated_light(observation: Observation) -> np.ndarray:
-    """(F, C, H, W) float32 >= 0: the thickness of flame, up to a factor, in the brightest channel that tells it.
+    """Return (F, C, H, W) float32 >= 0: the thickness of flame, up to a factor, in the brightest channel that tells it.
 
     A screen shows no more than white: red does not tell a thick flame from a thicker one. Light l of [0, 1] that every
     part of a flame adds to what is left of 1 is unrolled by -log(1 - l), which adds up along a ray.
@@ -102,13 +102,15 @@ def unsaturated_light(observation: Observation) -> np.ndarray:
 
 
 def cameras_around(voxels: FlameVoxels, cameras: list[Camera], views: int = VIEWS) -> list[Camera]:
-    """Cameras as far from the flame as the given ones, and as high above it, at even angles (+z is up).
+    """Return cameras as far from the flame as the given ones, and as high above it, at even angles (+z is up).
 
-    Pixels are as large as voxels in the middle of the flame, and pictures no larger than it needs.
+    None stands nearer than the flame is long: it would have a part of it beside or behind itself. Pixels are as large
+    as voxels in the middle of the flame, and pictures no larger than it needs.
     """
-    middle = (voxels.center.min(0) + voxels.center.max(0)) / 2
+    low, high = voxels.center.min(0), voxels.center.max(0)
+    middle = (low + high) / 2
     away = np.stack([camera.position for camera in cameras]) - middle
-    distance = np.linalg.norm(away, axis=1).mean()
+    distance = max(np.linalg.norm(away, axis=1).mean(), np.linalg.norm(high - low), voxels.voxel_size)
     climb = np.arctan2(away[:, 2], np.linalg.norm(away[:, :2], axis=1)).mean()
     first = np.arctan2(*away[len(cameras) // 2, 1::-1]) + np.pi / views
     around = []

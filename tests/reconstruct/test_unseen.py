@@ -15,7 +15,7 @@ from gof.reconstruct.voxels import carve
 from gof.render import render, render_splats
 from gof.render.backend import Float, opaque
 from gof.render.rasterizer import splats_at
-from tests.conftest import arc
+from tests.conftest import arc, look_at
 from tests.reconstruct.test_surroundings import CAMERA, cloud, voxels
 from tests.reconstruct.test_voxels import ball
 
@@ -97,6 +97,18 @@ def test_they_stand_around_the_flame_and_have_all_of_it_in_view():
     assert np.linalg.norm(np.diff(around[0].project(beside)[0], axis=0)) == pytest.approx(1, rel=0.02), (
         "a voxel, a pixel"
     )
+
+
+def test_a_given_camera_in_the_flame_makes_no_huge_picture():
+    cameras = arc(3)
+    masks, _ = ball(cameras, MIDDLE, RADIUS)
+    voxels = carve(cameras, masks[None], 24)
+    inside = [look_at("a", MIDDLE + 0.05 * np.array([np.sin(a), -np.cos(a), 0.1]), MIDDLE) for a in (0.0, 0.3)]
+    extent = np.ptp(voxels.center, axis=0).max() / voxels.voxel_size
+    for camera in cameras_around(voxels, inside):
+        assert max(camera.width, camera.height) < 4 * extent
+        pixel, depth = camera.project(voxels.center)
+        assert (depth > 0).all() and (pixel > 0).all() and (pixel < [camera.width, camera.height]).all()
 
 
 @pytest.mark.parametrize("color, told", [((60.0, 1.0, 0.05), 1), ((1.0, 0.3, 0.02), 0), ((0.1, 0.2, 0.9), 2)])
