@@ -90,7 +90,7 @@ def test_scores_beat_random_and_still_velocities_and_the_plate(demo):
 def test_everything_a_newcomer_opens_is_there(demo):
     out = demo[0] / "demo"
     page = (out / "report.html").read_text()
-    assert page.count("data:image/") >= 23 and "From all around" in page and "Flame PSNR from all around" in page
+    assert page.count("data:image/") >= 23 and "From all around" in page and "Flame PSNR (higher is better)" in page
     assert 'src="http' not in page
     assert (out / "preview.png").stat().st_size > 1000
     player = (out / "share.html").read_text()

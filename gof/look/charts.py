@@ -436,7 +436,7 @@ def around_chart(scores: Scores) -> Chart | None:
             label = lines[1] if k == 0 else None
             axes.plot([view.angle_deg], [psnr], "o", color=COLOURS[0], markersize=3.5, label=label, **tip)
 
-    title = "Flame PSNR from all around (higher is better)"
+    title = "Flame PSNR (higher is better)"
     return _chart(title, "angle from the nearest given camera (degrees)", "PSNR flame (dB)", lines, COLUMN, fill)
 
 
