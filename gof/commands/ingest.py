@@ -51,8 +51,8 @@ class IngestConfig:
     FIRST: ClassVar = ("out", "times", "cameras", "fov", "start", "plates", "max_size", "marker_mm")
 
     videos: tyro.conf.Positional[Annotated[list[Path], tyro.conf.arg(metavar="VIDEO ...")]]
-    """One video or folder of pictures per camera, of one fire, at least two; or one scenes/ID folder of the authors'
-    public data set (fire_actioncam), which brings its own cameras and times."""
+    """One video or folder of pictures per camera, of one fire (of a single one depth is a guess); or one scenes/ID
+    folder of the authors' public data set (fire_actioncam), which brings its own cameras and times."""
     out: Path | None = None
     """Folder of the dataset to write. Default: beside the first video, named after it: cam_0_dataset."""
     times: Annotated[tuple[str, ...], tyro.conf.arg(metavar="FILE|FPS|stamps")] = ()
@@ -83,6 +83,8 @@ class IngestConfig:
     """Side of the board's marker: gives the scale."""
     baseline_m: Metres | None = None
     """Distance between the first and the last camera: gives the scale."""
+    flame_height_m: Metres | None = None
+    """Of a single camera: height of the flame from its foot to its highest tip; gives the scale."""
     poses: Solver = "auto"
     """"features": structure from motion; "points": board or --points, refined with features; "auto": the first that
     holds."""
@@ -143,7 +145,11 @@ def read_times(words: tuple[str, ...]) -> tuple[Path | None, tuple[float, ...], 
 def ingest(config: IngestConfig) -> Ingested:
     """Make the dataset. Raises GofError as `make_dataset`, or for a number that is none."""
     require_number("--fov", config.fov, above=0, most=MOST_FOV_DEG)
-    for flag, value in (("--marker-mm", config.marker_mm), ("--baseline-m", config.baseline_m)):
+    for flag, value in (
+        ("--marker-mm", config.marker_mm),
+        ("--baseline-m", config.baseline_m),
+        ("--flame-height-m", config.flame_height_m),
+    ):
         require_positive(flag, value)
     require_number("--max-size", config.max_size, least=16)
     require_number("--frames", config.frames, least=1)
@@ -158,12 +164,15 @@ def ingest(config: IngestConfig) -> Ingested:
     if plate.folder is not None and not is_published(config.videos):  # now, as the times are
         find_plates(plate.folder, [f"cam_{c}" for c in range(len(config.videos))])
     footage = open_footage(config)
+    if config.flame_height_m is not None and (len(footage.videos) > 1 or footage.world_to_camera is not None):
+        raise GofError("--flame-height-m: for a single camera whose place is not known; leave it out")
     pose_options = PoseOptions(
         solver=config.poses,
         by_hand=tuple(read_points(config.points, footage.names)) if config.points else (),
         board=board_in(config.board, footage.videos),
         marker_m=None if config.marker_mm is None else config.marker_mm / 1000,
         baseline_m=config.baseline_m,
+        flame_height_m=config.flame_height_m,
         rig=Rig.read(config.rig, footage.upright_lenses) if config.rig else None,
         up=config.up,
         tilts=tuple(read_tilt(v, footage.turn) for v in footage.videos) if config.up in TAGGED else (),

@@ -70,7 +70,7 @@ class PoseReport:
 
     Attributes:
         method: "features": structure from motion; "points": the board or points by hand; "rig": those of another clip;
-            "--cameras": given; "published": they came with the footage.
+            "--cameras": given; "published": they came with the footage; "one camera": the flame's extent.
         scale: how the unit of length is known.
         notes: what could not be used, for people.
         sfm: None when no features were looked for.
@@ -80,7 +80,7 @@ class PoseReport:
         up: how Z is known; None where it came with the poses.
     """
 
-    method: Literal["--cameras", "features", "points", "published", "rig"]
+    method: Literal["--cameras", "features", "points", "published", "rig", "one camera"]
     scale: str
     notes: tuple[str, ...] = ()
     sfm: FeatureFigures | None = None

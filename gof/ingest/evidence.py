@@ -42,6 +42,7 @@ class PoseOptions:
         board: to look for; None does not look.
         marker_m: side of the board's marker in m; gives the scale.
         baseline_m: distance between the first and the last camera in m; gives the scale.
+        flame_height_m: of a single camera's flame, from its foot to the highest tip of the clip; gives the scale.
         rig: another clip's poses, to be taken over if nothing speaks against them.
         up: how the vertical is found, see `find_up`.
         tilts: the cameras' accelerometers on it; empty where not asked for.
@@ -55,12 +56,18 @@ class PoseOptions:
     board: BoardTemplate | None = None
     marker_m: float | None = None
     baseline_m: float | None = None
+    flame_height_m: float | None = None
     rig: Rig | None = None
     up: UpChoice = "auto"
     tilts: tuple[Tilt, ...] = ()
 
     def __post_init__(self):
-        for value, name in ((self.marker_m, "--marker-mm"), (self.baseline_m, "--baseline-m")):
+        lengths = {
+            "--marker-mm": self.marker_m,
+            "--baseline-m": self.baseline_m,
+            "--flame-height-m": self.flame_height_m,
+        }
+        for name, value in lengths.items():
             if value is not None and not (np.isfinite(value) and value > 0):
                 raise GofError(f"{name} {value}: must be a positive length in metres")
 

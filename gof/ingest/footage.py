@@ -81,7 +81,7 @@ class Footage:
         notes: what a user should know of them, in words.
 
     Raises:
-        GofError: fewer than two videos.
+        GofError: no video.
     """
 
     videos: tuple[Path, ...]
@@ -92,8 +92,8 @@ class Footage:
     notes: tuple[str, ...] = ()
 
     def __post_init__(self):
-        if len(self.videos) < 2:
-            raise GofError("give the footage of at least two cameras")
+        if not self.videos:
+            raise GofError("give the footage of at least one camera")
 
     @classmethod
     def open(

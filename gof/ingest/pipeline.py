@@ -16,6 +16,7 @@ from gof.dataset import DatasetDescription
 from gof.dataset.poses import FILE as POSES
 from gof.dataset.poses import Poses
 from gof.host.terminal import progress_bar
+from gof.ingest.alone import place_alone
 from gof.ingest.evidence import Evidence, PoseOptions
 from gof.ingest.fire_free import PlateOptions, make_plates, outside
 from gof.ingest.footage import (
@@ -143,7 +144,12 @@ def _make(
     # ---- poses -------------------------------------------------------------------------------------------------------
     with log.measure("poses") as figures:
         with watched("poses: read", known, [1 + (pose_options.board is not None)] * len(known)) as seen:
-            placed = footage.place([Evidence.of(out.name, seen, fire_free.lowest, pose_options), *more], pose_options)
+            evidence = Evidence.of(out.name, seen, fire_free.lowest, pose_options)
+            if len(seen) == 1 and footage.world_to_camera is None:
+                lens, plate_picture = footage.upright_lenses[0], fire_free.pictures[0]
+                placed = place_alone(seen[0], plate_picture, lens, evidence, pose_options)
+            else:
+                placed = footage.place([evidence, *more], pose_options)
         figures.update(method=placed.report.method, points=len(placed.points))
     cameras = placed_cameras(footage, times, placed)
     plates = fire_free.pictures
@@ -211,7 +217,7 @@ def derived_files(stored: list[StoredView], placed: Placed, plates_of_clip: bool
     """Return names of the dataset's files that are computed from the clip's training frames, masks of single frames
     aside."""
     files = [view.static for view in stored] if plates_of_clip else []
-    files += [POSES] if placed.report.method in ("features", "points") else []
+    files += [POSES] if placed.report.method in ("features", "points", "one camera") else []
     return files
 
 

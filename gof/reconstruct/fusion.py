@@ -94,14 +94,14 @@ def fuse_frame(
         flow: (C, H, W, 2) px/s, NaN where unknown.   mask: (C, H, W) bool.   emission: (V,) weights for the smoothing.
         fusion: "full" or "paper".   smooth_voxels: std-dev of the emission-weighted Gaussian smoothing; 0 = none.
     Returns:
-        velocity (V, 3) m/s, and known (V,) bool: at least two cameras gave flow here or smoothing reached it.
+        velocity (V, 3) m/s, and known (V,) bool: two cameras, or the only one, gave flow here, or smoothing reached it.
     Raises:
         GofError: the result is not finite.
     """
     sampled = voxels.sample(flow, outside=np.nan)
     valid = np.isfinite(sampled).all(-1) & (voxels.sample(mask.astype(np.int8), outside=0) == 1)
     velocity = FUSIONS[fusion](voxels.jacobian, np.where(valid[..., None], sampled, 0), valid, voxels.forward)
-    known = valid.sum(0) >= 2
+    known = valid.sum(0) >= min(2, len(valid))
     velocity[~known] = 0
     if smooth_voxels > 0 and known.any():
         weight = np.where(known, emission + 1e-3 * emission.max(initial=0) + 1e-12, 0)

@@ -116,6 +116,11 @@ def _require_possible(run: stages.Run, anyway: bool) -> None:
         f"{steps} steps: about {max(seconds / 60, 0.1):.1f} min on two free CPU cores, and {memory.in_words(needed)}",
         file=sys.stderr,
     )
+    if len(run.dataset.cameras) == 1:
+        print(
+            "one camera: depth is a guess; the flame is taken to stand over the world's origin, as deep as it is wide",
+            file=sys.stderr,
+        )
     found = sanity.doubts(run.dataset)
     for doubt in found:
         print(f"warning: {doubt.text}", file=sys.stderr)

@@ -55,14 +55,15 @@ def round_flame(voxels: FlameVoxels, emission: np.ndarray) -> np.ndarray:
     """(V,) in (0, 1]: a flame with a round Gaussian cross-section at every height, as wide as the views say it is.
 
     Emission that reproduces the views has the right mean and variance across every viewing direction, whatever its
-    shape along it; the mean over the views of those variances is the round flame's. All 1 where fewer than two views
-    are from the side.
+    shape along it; the mean over the views of those variances is the round flame's. A single view does not say where
+    its middle is along the rays: as near to the world's axis as can be. All 1 where fewer than two of several views are
+    from the side.
     """
     layer, layers = voxels.index[:, 2], int(voxels.resolution[2])
     axis = np.cross(voxels.jacobian[:, :, 0], voxels.jacobian[:, :, 1]).mean(1)  # viewing directions, any length
     across = np.stack([axis[:, 1], -axis[:, 0]], -1)
     side = np.linalg.norm(across, axis=-1) > 0.1 * np.linalg.norm(axis, axis=-1)
-    if side.sum() < 2:
+    if side.sum() < min(2, len(side)):
         return np.ones(len(emission))
     across = across[side] / np.linalg.norm(across[side], axis=-1, keepdims=True)
 

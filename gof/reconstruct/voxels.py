@@ -52,18 +52,22 @@ def flame_box(cameras: list[Camera], masks: np.ndarray) -> tuple[np.ndarray, np.
     """A world box (min (3,), max (3,)) that surely holds the flame.
 
     The rays through the masks' centroids meet (least squares) at the flame; the masks' extent at that depth gives its
-    size.
+    size. A single camera cannot say how far away its flame is: that stands over the world's origin (+z is up).
 
     Args:
-        cameras: at least 2.
         masks: (C, H, W) bool, union over time.
     Raises:
-        DataFormatError: fewer than 2 cameras see flame, or their rays are parallel (condition number > 1e8).
+        DataFormatError: one of several cameras alone sees flame, or none; their rays are parallel (condition number
+            > 1e8), or that of a single one is upright.
     """
     seen = [c for c in range(len(cameras)) if masks[c].any()]
-    if len(seen) < 2:
-        raise DataFormatError(f"flame is visible in {len(seen)} cameras; at least 2 are needed to place it in space")
+    if len(seen) < min(2, len(cameras)):
+        raise DataFormatError(
+            f"flame is visible in {len(seen)} of {len(cameras)} cameras; it cannot be placed in space"
+        )
     A, b = np.zeros((3, 3)), np.zeros(3)
+    if len(cameras) == 1:
+        A += np.diag([1.0, 1.0, 0.0])  # the world's axis, x = y = 0, is the second ray
     extent = {}
     for c in seen:
         rows, columns = np.nonzero(masks[c])
@@ -99,7 +103,8 @@ def carve(
 ) -> FlameVoxels:
     """Voxels whose image lies in the union-over-time mask of every camera that has them in view.
 
-    At least `min_views` of those masks must hold it. A camera does not have in view what something hides from it.
+    At least `min_views` of those masks must hold it. A camera does not have in view what something hides from it. What
+    a single camera sees is no deeper than it is wide.
 
     Args:
         cameras: C cameras.   masks: (F, C, H, W) bool.
@@ -122,14 +127,28 @@ def carve(
         if blocked is not None:
             pixel[voxels.sample(blocked)] = np.nan
         hit = voxels.sample(union.astype(np.int8), outside=-1)
-        keep = (hit == 1).sum(0) >= min_views
+        keep = (hit == 1).sum(0) >= min(min_views, len(cameras))
         if vetoes:
             keep &= (hit != 0).all(0)
+        if len(cameras) == 1 and keep.any():
+            keep &= _no_deeper_than_wide(center, keep, forward[0])
         if not keep.any():
             raise DataFormatError(
-                "no voxel lies in the flame masks of two cameras; check the masks and the camera poses"
+                f"no voxel lies in the flame masks of {min(min_views, len(cameras))} of {len(cameras)} cameras; check "
+                "the masks and the camera poses"
             )
         low, high = center[keep].min(0) - voxel, center[keep].max(0) + voxel
     kept = center[keep]
     jacobian = np.stack([cam.projection_jacobian(kept) for cam in cameras])
     return FlameVoxels(kept, voxels.voxel_size, index[keep], resolution, voxels.pixel[:, keep], jacobian, forward)
+
+
+def _no_deeper_than_wide(center: np.ndarray, seen: np.ndarray, forward: np.ndarray) -> np.ndarray:
+    """(V,) bool: voxels as near to the world's axis along a camera's view, as what it sees reaches across it.
+
+    Args:
+        center: (V, 3).   seen: (V,) bool, some.   forward: (3,) optical axis, not upright.
+    """
+    depth = forward[:2] / np.linalg.norm(forward[:2])
+    across = center[seen, :2] @ (depth[1], -depth[0])
+    return np.abs(center[:, :2] @ depth) <= np.ptp(across) / 2

@@ -273,8 +273,8 @@ def test_footage_errors(tmp_path):
         list(Clip(tmp_path / "empty", (5, 4), (0,), np.copy))
     with pytest.raises(DataFormatError, match="between 0 and 180"):
         Lens.from_fov(6, 4, 180)
-    with pytest.raises(GofError, match="at least two cameras"):
-        Footage.open([tmp_path / "empty"], "none", None, 40.0)
+    with pytest.raises(GofError, match="at least one camera"):
+        Footage((), ())
     with pytest.raises(GofError, match=r"--cameras FILE or --fov"):
         Footage.open([tmp_path / "empty"] * 2, "none", None, None)
 

@@ -6,7 +6,7 @@ import cv2
 import numpy as np
 import pytest
 
-from gof.core.errors import DataFormatError, GofError
+from gof.core.errors import GofError
 from gof.core.gaussians import TransientGaussians
 from gof.dataset import Dataset
 from gof.reconstruct.observation import observe
@@ -203,8 +203,13 @@ def test_two_cameras(tmp_path):
     np.testing.assert_allclose(mean_velocity(gaussians), RISE, atol=0.5)
 
 
-def test_one_camera_and_one_frame_are_refused(tmp_path):
-    with pytest.raises(DataFormatError, match="at least 2 are needed"):
-        run(write_flame(tmp_path / "one", cameras=1), tmp_path / "out")
+def test_one_camera_says_that_depth_is_a_guess(tmp_path, capsys):
+    scores, gaussians = run(write_flame(tmp_path / "one", cameras=1), tmp_path / "out")
+    assert "one camera: depth is a guess" in capsys.readouterr().err
+    assert scores.psnr_flame > 20
+    np.testing.assert_allclose(mean_velocity(gaussians), RISE, atol=0.5)
+
+
+def test_one_frame_is_refused(tmp_path):
     with pytest.raises(GofError, match="single frame has no motion"):
         run(write_flame(tmp_path / "still", frames=1, test_frames=()), tmp_path / "out2")

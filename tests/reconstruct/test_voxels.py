@@ -92,6 +92,28 @@ def test_round_flame_needs_two_views_from_the_side():
     assert (round_flame(replace(voxels, jacobian=above), even) == 1).all()
 
 
+def test_the_flame_of_a_single_camera_stands_over_the_origin_as_deep_as_it_is_wide():
+    """A ball over the origin: its radius is known, and its light is within it."""
+    camera, middle, radius = arc(3)[2:], np.array([0.0, 0.0, 1.05]), 0.25
+    masks, lengths = ball(camera, middle, radius)
+    voxels = carve(camera, masks[None], 32)
+    emission = tomography(voxels, lengths, masks)
+    depth, width = depth_and_width(voxels, emission, camera[0], middle)
+    assert [depth, width] == pytest.approx([radius / np.sqrt(5)] * 2, rel=0.1)
+    found = np.average(voxels.center, axis=0, weights=emission)
+    assert np.abs(found - middle).max() < voxels.voxel_size
+    assert np.abs((voxels.center - middle) @ voxels.forward[0]).max() < radius + 3 * voxels.voxel_size
+
+
+def test_a_single_camera_that_looks_straight_down_cannot_place_its_flame():
+    camera = arc(1)[0]
+    down = np.eye(4)
+    down[:3, :3], down[:3, 3] = np.diag([1.0, -1.0, -1.0]), [0, 0, 3]
+    masks = np.ones((1, camera.height, camera.width), bool)
+    with pytest.raises(DataFormatError, match="parallel"):
+        carve([replace(camera, world_to_camera=down)], masks[None], 8)
+
+
 def test_tomography_with_nothing_to_see():
     cameras = arc(2)
     masks, lengths = ball(cameras)
@@ -103,9 +125,9 @@ def test_tomography_with_nothing_to_see():
 def test_a_camera_that_lost_the_flame_does_not_carve_everything_but_one_view_is_not_enough():
     cameras = arc(3)
     masks, _ = ball(cameras)
-    with pytest.raises(DataFormatError, match="visible in 1 camera"):
+    with pytest.raises(DataFormatError, match="visible in 1 of 3 cameras"):
         carve(cameras, (masks & np.array([True, False, False])[:, None, None])[None], 10)
-    with pytest.raises(DataFormatError, match="visible in 0 camera"):
+    with pytest.raises(DataFormatError, match="visible in 0 of 3 cameras"):
         carve(cameras, (masks & False)[None], 10)
 
 
