@@ -21,7 +21,7 @@ from gof.footage.lens import Turn
 from gof.footage.videos import require_different, stated_fps
 from gof.host.options import require_all_positive, require_number, require_positive
 from gof.ingest.accelerometer import read_tilt
-from gof.ingest.evidence import PoseOptions, Rig, Solver
+from gof.ingest.evidence import KnownRig, PoseOptions, Solver
 from gof.ingest.fire_free import PlateKind, PlateOptions
 from gof.ingest.footage import Footage
 from gof.ingest.frame_times import Timing
@@ -164,7 +164,7 @@ def ingest(config: IngestConfig) -> Ingested:
         board=board_in(config.board, footage.videos),
         marker_m=None if config.marker_mm is None else config.marker_mm / 1000,
         baseline_m=config.baseline_m,
-        rig=Rig.read(config.rig, footage.upright_lenses) if config.rig else None,
+        rig=KnownRig.read(config.rig, footage.upright_lenses) if config.rig else None,
         up=config.up,
         tilts=tuple(read_tilt(v, footage.turn) for v in footage.videos) if config.up in TAGGED else (),
     )

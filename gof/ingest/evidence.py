@@ -55,7 +55,7 @@ class PoseOptions:
     board: BoardTemplate | None = None
     marker_m: float | None = None
     baseline_m: float | None = None
-    rig: Rig | None = None
+    rig: KnownRig | None = None
     up: UpChoice = "auto"
     tilts: tuple[Tilt, ...] = ()
 
@@ -81,7 +81,7 @@ class PoseOptions:
 
 
 @dataclass(frozen=True)
-class Rig:
+class KnownRig:
     """Cameras whose poses are known from another clip of the same rig.
 
     Attributes:
@@ -96,7 +96,7 @@ class Rig:
     plates: list[np.ndarray]
 
     @classmethod
-    def read(cls, folder: Path, lenses: list[Lens]) -> Rig:
+    def read(cls, folder: Path, lenses: list[Lens]) -> KnownRig:
         """Read that of a dataset that `gof ingest` made, for cameras with these lenses.
 
         Raises:

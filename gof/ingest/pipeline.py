@@ -19,8 +19,8 @@ from gof.host.terminal import progress_bar
 from gof.ingest.evidence import Evidence, PoseOptions
 from gof.ingest.fire_free import PlateOptions, make_plates, outside
 from gof.ingest.footage import (
-    Clip,
     Footage,
+    PreparedClip,
     StoredView,
     camera_entries,
     resized,
@@ -193,7 +193,7 @@ def _make(
 
 
 @contextmanager
-def watched(title: str, clips: list[Clip], passes: list[int] | None = None) -> Iterator[list[Clip]]:
+def watched(title: str, clips: list[PreparedClip], passes: list[int] | None = None) -> Iterator[list[PreparedClip]]:
     """Provide the clips, with a progress bar over all their frames; each clip is read so many times, once by
     default."""
     total, done = sum(n * len(clip) for n, clip in zip(passes or [1] * len(clips), clips, strict=True)), 0
