@@ -108,7 +108,7 @@ def with_speed_of(speed: np.ndarray, direction: np.ndarray) -> np.ndarray:
 
 
 def rows(field: FlowField, metres: bool, dataset: Dataset) -> dict[str, str]:
-    """Return what is known -> its score."""
+    """Return the score of each kind of knowledge."""
     voxels, emission, seen = field.voxels, field.emission, field.velocity
     truth = np.stack([dataset.velocity.at(frame.time_s).sample(voxels.center) for frame in field.frames])
     describer = FlameDescriber.of(field)

@@ -56,7 +56,7 @@ class Calibration:
         )
 
     def warnings(self) -> list[str]:
-        """Return what could be better, and how."""
+        """Return warnings with their remedies, in words."""
         out = []
         if self.coverage < 0.7:
             out.append(
@@ -214,7 +214,7 @@ def _fit(views: list[_View], size: tuple[int, int]) -> _Fit:
 
 
 def _mean_tilt_deg(turns: np.ndarray) -> float:
-    """Return how far the target's normals are from their mean, on average. Parallel views leave the focal length open;
+    """Return the mean angle between the target's normals and their mean. Parallel views leave the focal length open;
     OpenCV then keeps its first guess and calls it certain."""
     import cv2
 

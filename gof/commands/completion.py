@@ -58,7 +58,7 @@ def leaves() -> dict[str, str]:
 
 
 def words() -> dict[str, list[str]]:
-    """Return what can follow `gof` and the words of a command: commands, parts, or options and their values."""
+    """Return the words that can follow `gof` and a command's words: commands, parts, or options and their values."""
     from gof.commands.cli import commands
 
     always = [option.split()[0] for option in everywhere.OPTIONS] + ["--help", "--help-all"]

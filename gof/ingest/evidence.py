@@ -151,7 +151,7 @@ def require_still(
     plates: list[np.ndarray],
     masks: list[np.ndarray] | None = None,
 ) -> dict[str, float]:
-    """Return how far each camera's still picture moved between two clips: median in px of the clip's pictures.
+    """Return each camera's shift of the still picture between two clips: median in px of the clip's pictures.
 
     Args:
         other: name of the other clip.   plates: its pictures.   masks: where features may be in them.

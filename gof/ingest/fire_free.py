@@ -40,7 +40,7 @@ class PlateOptions:
 
     @property
     def source(self) -> str:
-        """Return what the dataset says of them."""
+        """Return the dataset's notes on them."""
         return "given" if self.folder else self.kind
 
     @property

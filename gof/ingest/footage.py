@@ -150,7 +150,7 @@ class Footage:
 
     @property
     def names(self) -> list[str]:
-        """Return what the dataset calls the cameras."""
+        """Return the cameras' names in the dataset."""
         return [f"cam_{c}" for c in range(len(self.videos))]
 
     @property
@@ -179,7 +179,7 @@ class Footage:
 
     @property
     def provenance(self) -> dict[str, Any]:
-        """Return what else the dataset says of where it is from."""
+        """Return the dataset's further notes on its origin."""
         return {"videos": [_described(info) for info in self.infos], "turn": self.turn}
 
     def preparation(self, camera: int) -> Callable[[np.ndarray], np.ndarray]:
@@ -195,7 +195,7 @@ class Footage:
 
 
 def _read(video: Path) -> VideoInfo:
-    """Return what its file says, under a progress bar: it is read to its end."""
+    """Return the statements of its file, read to its end under a progress bar."""
     with progress_bar(f"read {video.name}") as update:
         return read_info(video, update)
 
@@ -279,7 +279,7 @@ def write_picture(path: Path, picture: np.ndarray) -> None:
 def camera_entries(
     footage: Footage, times: FrameTimes, stored: list[StoredView], boards: list[np.ndarray | None]
 ) -> tuple[CameraEntry, ...]:
-    """Return what dataset.json says of the cameras."""
+    """Return the cameras' entries in dataset.json."""
     return tuple(
         CameraEntry.of(
             view.camera,

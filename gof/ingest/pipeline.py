@@ -216,7 +216,7 @@ def derived_files(stored: list[StoredView], placed: Placed, plates_of_clip: bool
 
 
 def evidence_of(footage: Footage, options: PoseOptions) -> Evidence:
-    """Return what another clip of the rig says of the poses. What stands still needs no times: all frames are used."""
+    """Return evidence of the poses from another clip of the rig. Still things need no times: all frames are used."""
     name = footage.videos[0].parent.name
     everything = footage.all_clips()
     with watched(f"read {name}", everything, [2 + (options.board is not None)] * len(everything)) as clips:

@@ -121,7 +121,7 @@ def pooled(clips: list[Features]) -> Features:
 def shift_between(
     first: np.ndarray, first_mask: np.ndarray, second: np.ndarray, second_mask: np.ndarray | None
 ) -> tuple[float, int]:
-    """Return how far what stands still lies apart in two pictures by one camera: median in px of the first, and of how
+    """Return the distance between still things in two pictures by one camera: median in px of the first, and of how
     many.
 
     Args:

@@ -58,7 +58,7 @@ class _View:
 
 
 def find_faults(dataset: Dataset) -> list[Fault]:
-    """Return what cannot be, or hardly, in a dataset's cameras, clocks, plates and poses; empty where all agrees.
+    """Return the faults of a dataset's cameras, clocks, plates and poses; empty where all agrees.
 
     Costs a second or two. Reads no held-out picture.
 

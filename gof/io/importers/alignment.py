@@ -28,7 +28,7 @@ class Alignment:
     reach_m: float
 
     def in_words(self, source: Path) -> str:
-        """Return what was done by the cameras of `source`, and what is left."""
+        """Return the similarity by the cameras of `source`, and the rest that it leaves, in words."""
         apart = self.position_rms_m > SAME_WORLD * self.reach_m or self.rotation_max_deg > SAME_WORLD * 100
         return (
             f"moved by the similarity of {name_model(source)}: scale {self.scale:.4g}; cameras then "
