@@ -18,10 +18,11 @@ SMALL = {  # command: words put behind it
     "gof background": "--steps 5",
     "gof generate": "--preset toy",
     "gof reconstruct": "--steps 20 --gaussians 300 --voxels 24",
-    "gof study dve": "--gaussians 100",
+    "gof study dve": "--gaussians 100 --samples 1000",
     "gof video": "--max-size 64 --fps 2",
 }
-IN_A_SHELL = re.compile(r"[\n|&;<>$*?~`(){}#!]")  # a line with one of these is more than one command
+IN_A_SHELL = re.compile(r"[|&;<>$*?~`(){}#!]")  # a line with one of these is more than one command
+IN_THE_SAMPLE = ("data/fire", "out/fire")  # what commands make and `lay_out` gives
 MADE = re.compile(r"^gof (?:generate|ingest|reconstruct|background) .*--out (\S+)", re.MULTILINE)
 
 
@@ -41,6 +42,17 @@ def lay_out(folder: Path) -> Path:
     return folder
 
 
+def not_run_elsewhere(lines: list[str], elsewhere: set[str]) -> list[str]:
+    """The commands of a page without those that another page runs, unless one after them takes what they make."""
+    found = []
+    for number, line in enumerate(lines):
+        made = re.search(r"--out (\S+)", line)
+        taken = made and made[1] not in IN_THE_SAMPLE and any(made[1] in later for later in lines[number + 1 :])
+        if line not in elsewhere or taken:
+            found.append(line)
+    return found
+
+
 def clear(folder: Path, text: str) -> None:
     """Remove what the sample has and these commands make."""
     for made in MADE.findall(text):
@@ -52,8 +64,10 @@ def run(folder: Path, text: str, language: str = "bash") -> None:
     if language == "bash":
         text = text.replace("\\\n", " ")
         text = re.sub(r"^(gof [^#\n]*?) *(#.*)?$", _small, text, flags=re.MULTILINE)
-        if text.startswith("gof ") and not IN_A_SHELL.search(text):
-            _run_here(folder, text)
+        lines = text.splitlines()
+        if all(line.startswith("gof ") for line in lines) and not any(map(IN_A_SHELL.search, lines)):
+            for line in lines:
+                _run_here(folder, line)
             return
     path = os.pathsep.join([str(Path(sys.executable).parent), os.environ["PATH"]])
     environment = os.environ | {"PATH": path, "PYTHONPATH": os.environ.get("PYTHONPATH", str(ROOT))}

@@ -134,6 +134,9 @@ def test_fields_of_a_newer_writer_are_left_aside():
     assert from_json(DatasetDescription, data | {"weather": "fine"}, "x") == from_json(DatasetDescription, data, "x")
     with pytest.raises(DataFormatError, match="weather is not a field; known: "):
         from_json(DatasetDescription, data | {"weather": "fine"}, "x", ignore_unknown=False)
+    data["cameras"][0]["role"] = "below"
+    with pytest.raises(DataFormatError, match="role"):  # a value that says something unknown is refused
+        from_json(DatasetDescription, data, "x")
 
 
 def test_a_failed_write_leaves_the_old_file_and_nothing_else(tmp_path):

@@ -13,7 +13,8 @@ from pathlib import Path
 import pytest
 
 from gof.commands.cli import main as gof
-from tests.reader import clear, lay_out, run
+from tests import test_printed_commands as printed
+from tests.reader import clear, lay_out, not_run_elsewhere, run
 
 ROOT = Path(__file__).parents[1]
 PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
@@ -102,11 +103,23 @@ def is_listing(page: str, text: str) -> bool:
 
 
 def blocks() -> dict[str, list[tuple[str, str]]]:
-    """(language, text) of the blocks that are run, by their page."""
+    """(language, text) of the blocks that are run, by their page; without commands that run as those of a help."""
     found: dict[str, list[tuple[str, str]]] = {}
     for page, language, text in examples():
         if reason(page, text) is None and not is_listing(page, text):
             found.setdefault(page, []).append((language, text))
+    in_helps = {line for case in printed.cases() for line in case.values[1]}
+    return {page: left for page, those in found.items() if (left := _without(those, in_helps))}
+
+
+def _without(blocks: list[tuple[str, str]], elsewhere: set[str]) -> list[tuple[str, str]]:
+    commands = [line.split(" #")[0].rstrip() for _, text in blocks for line in text.splitlines()]
+    kept = set(not_run_elsewhere(commands, elsewhere))
+    found = []
+    for language, text in blocks:
+        lines = [line for line in text.splitlines(keepends=True) if line.split(" #")[0].rstrip() in kept]
+        if any(line.strip() for line in lines):
+            found.append((language, "".join(lines)))
     return found
 
 
@@ -166,4 +179,7 @@ def test_the_blocks_of_a_page_run_in_its_order(page, world):
         for words, instead in SAID.get(page, {}).items():
             text = text.replace(words, instead)
         clear(world, text)
+        if begun and language == "bash":
+            run(world, begun)
+            begun = ""
         run(world, (START if language == "python" else "") + begun + text, language)

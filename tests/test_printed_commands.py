@@ -19,7 +19,7 @@ import pytest
 from gof.commands.cli import commands, main
 from gof.commands.read import read_options
 from gof.core.errors import GofError
-from tests.reader import clear, lay_out, run
+from tests.reader import clear, lay_out, not_run_elsewhere, run
 
 ROOT = Path(__file__).parents[1]
 README = ROOT / "README.md"
@@ -117,14 +117,22 @@ def test_a_command_that_fails_is_seen_to_fail(line, tmp_path):
 
 
 def cases() -> list:
-    """Pages with the commands of theirs that are run; those that start Blender are marked."""
-    found = []
-    for page, lines in pages().items():
-        here = [line for line in lines if reason(line) is None]
+    """Pages with the commands of theirs that are run, each once; those that start Blender are marked."""
+    found, elsewhere = [], set()
+    for page, lines in sorted(pages().items(), key=lambda item: item[0] != "gof"):  # the loop runs as one
+        here = not_run_elsewhere([line for line in lines if reason(line) is None], elsewhere)
+        elsewhere |= set(here)
         if here:
             marks = [pytest.mark.blender] if any(line.startswith(BLENDER) for line in here) else []
             found.append(pytest.param(page, here, id=page.replace(" ", "_"), marks=marks))
     return found
+
+
+def test_every_command_that_is_printed_is_run_or_has_its_reason():
+    run_here = {line for case in cases() for line in case.values[1]}
+    for lines in pages().values():
+        for line in lines:
+            assert (line in run_here) != (reason(line) is not None), line
 
 
 @pytest.mark.long

@@ -88,7 +88,7 @@ def test_a_pipe_or_a_link_stands_in_place_of_a_file_and_goes_again(tmp_path):
 
 
 @pytest.mark.long
-def test_rigs_that_cannot_be_are_doubted_and_the_good_one_is_not(tmp_path):
+def test_rigs_that_cannot_be_have_faults_and_the_good_one_has_none(tmp_path):
     """Thirty of `malice.impossible`; accepting one is the campaign's failure "believed"."""
     form = formats()["a rig that cannot be"]
     form.write(tmp_path)
@@ -151,7 +151,7 @@ class Misbehaving:
             connection.send(fuzz.verdict("scene spec", fuzz.Path("/nowhere")))
 
 
-def test_an_infinite_lifetime_or_doubt_is_finite_and_nothing_else_is():
+def test_an_infinite_lifetime_or_uncertainty_is_finite_and_nothing_else_is():
     g = random_gaussians(4)
     g.t_sigma[:] = np.inf
     assert np.isinf(g.velocity_sd).all()

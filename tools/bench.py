@@ -161,7 +161,7 @@ def measured() -> dict[str, float | None]:
 
 
 def child(checkout: Path) -> dict[str, float | None]:
-    """Return what `measured` gives in a process whose `gof` is a checkout's."""
+    """Return the result of `measured` in a process whose `gof` is a checkout's."""
     environment = os.environ | {"PYTHONPATH": str(checkout)}
     command = [sys.executable, str(Path(__file__).resolve()), "--child"]
     done = subprocess.run(command, cwd=checkout, env=environment, capture_output=True, text=True)

@@ -36,7 +36,7 @@ SILENT = {"openexr": ("BSD-3-Clause", "Redistribution and use in source and bina
 
 
 def licence(distribution: importlib.metadata.Distribution) -> str:
-    """Return what a package says of itself, in its own words; "unknown" if it says nothing."""
+    """Return a package's statement of its licence, in its own words; "unknown" if there is none."""
     metadata = distribution.metadata
     if expression := metadata.get("License-Expression"):
         return expression
@@ -75,7 +75,7 @@ def brought_by(name: str, extras: Iterable[str] = ()) -> dict[str, importlib.met
 
 
 def objections(packages: dict[str, importlib.metadata.Distribution | None]) -> list[str]:
-    """Return what is wrong with the licences of packages for one who does not want copyleft."""
+    """Return the faults in the licences of packages for one who does not want copyleft."""
     wrong = []
     for name, distribution in sorted(packages.items()):
         if distribution is None:

@@ -25,7 +25,7 @@ HEAD = """\
 
 
 def resolved() -> list[dict]:
-    """Return what pip would install into an empty environment, as its report says."""
+    """Return the packages that pip would install into an empty environment, by its report."""
     with tempfile.TemporaryDirectory() as folder:
         report = Path(folder) / "report.json"
         command = [sys.executable, "-m", "pip", "install", "--quiet", "--dry-run", "--ignore-installed"]

@@ -31,12 +31,12 @@ def errors() -> list[str]:
 
 
 def by_room(lines: list[str]) -> dict[str, int]:
-    """Return how many errors each room has."""
+    """Return the number of errors of each room."""
     return dict(sorted(Counter("/".join(line.split("/")[:2]) for line in lines).items()))
 
 
 def complaints(lines: list[str], allowed: dict[str, int]) -> list[str]:
-    """Return what is worse than written down: errors of strict files, and rooms with more errors than before."""
+    """Return the places that got worse: errors of strict files, and rooms with more errors than written down."""
     found = [line for line in lines if STRICT.match(line)]
     for room, count in by_room(lines).items():
         if count > allowed.get(room, 0):

@@ -2,10 +2,7 @@
 
 from __future__ import annotations
 
-import importlib
-
-from gof.commands import HELP_WORDS, no_such
-from gof.core.errors import GofError
+from gof.commands.parts import run_part
 
 PARTS = {
     "list": (
@@ -36,15 +33,5 @@ to enter it:
 
 
 def main(argv: list[str]) -> int:
-    """Run the part that the first argument names; each explains itself with --help.
-
-    Raises:
-        GofError: no part of that name.
-    """
-    if argv and argv[0] in HELP_WORDS:
-        print(HELP.format(parts="\n".join(f"  {name:<7} {text}" for name, (_, text) in PARTS.items())))
-        return 0
-    if not argv or argv[0] not in PARTS:
-        named = no_such("part", argv[0], PARTS) if argv else f"name a part: {', '.join(PARTS)}"
-        raise GofError(f"{named}; gof benchmark --help explains them")
-    return importlib.import_module(PARTS[argv[0]][0]).main(argv[1:]) or 0
+    """Run one part of `gof benchmark`."""
+    return run_part("benchmark", PARTS, HELP, argv)

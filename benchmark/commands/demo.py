@@ -187,7 +187,7 @@ def run_stages(config: DemoConfig) -> None:
 
 
 def stage_costs(config: DemoConfig) -> list[StageCost]:
-    """Return what every stage cost, part by part where it keeps account."""
+    """Return the cost of every stage, part by part where it keeps account."""
     logs = [stage.costs for stage in stages_of(config) if stage.costs] + [config.out / "costs.json"]
     return [cost for log in logs for cost in StageLog(log).stages()]
 

@@ -106,7 +106,7 @@ def _default_out(scene: str, spec: SceneSpec) -> Path:
 
 
 def _checked(spec: SceneSpec, layout: Layout, estimate: bool) -> list[str]:
-    """Return what the user should know of a spec before anything is made. Raises GofError: it would be no dataset, or,
+    """Return notes for the user on a spec before anything is made. Raises GofError: it would be no dataset, or,
     but for an estimate, this machine cannot make it."""
     try:
         notes = require_sense(spec)
@@ -124,7 +124,7 @@ def _checked(spec: SceneSpec, layout: Layout, estimate: bool) -> list[str]:
 
 
 def _in_its_scene(spec: SceneSpec) -> list[str]:
-    """Return what the user should know of objects in a .blend of theirs. Raises GofError: it cannot be the
+    """Return notes for the user on objects in a .blend of theirs. Raises GofError: it cannot be the
     surroundings."""
     try:
         return dataset_process.scene_notes(spec, python())
@@ -154,7 +154,7 @@ def _make(spec: SceneSpec, layout: Layout, log: StageLog, config: GenerateConfig
 
 
 def _summary(costs: Costs) -> str:
-    """Return what the clock on the wall says, and what the processes say, which work at the same time."""
+    """Return the time by the clock on the wall, and the sum of the processes, which work at the same time."""
     stages = ", ".join(f"{cost.name} {cost.settings.get('wall_s', cost.seconds):.0f} s" for cost in costs.stages)
     processes = sum(cost.seconds for cost in costs.stages)
     return f"{costs.wall_s:.0f} s by the clock ({stages}; they overlap), {processes:.0f} s summed over processes"

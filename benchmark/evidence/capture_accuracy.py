@@ -181,7 +181,7 @@ def real(captures: Path, plots: Path | None) -> list[Row]:
 
 
 def _into(folder: Path) -> Callable:
-    """Return what draws each camera's residuals into a folder."""
+    """Return a function that draws each camera's residuals into a folder."""
     return lambda name, *seen: frame_times_chart(name, *seen).write(folder / f"residuals_{name}.png")
 
 

@@ -41,7 +41,7 @@ def _rates(**fields) -> Method:
 
 
 def _one_velocity(times: float) -> Method:
-    """Return what the method was before gas and light had a velocity each: it hardly moves in the optimisation, times
+    """Return the method as it was before gas and light had a velocity each: it hardly moves in the optimisation, times
     1."""
     return replace(OURS, gas_apart=False, rates=replace(OURS.rates, velocity=0.0002 * times))
 

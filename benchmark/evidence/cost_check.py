@@ -128,7 +128,7 @@ def spec_file(spec: SceneSpec, work: Path) -> Path:
 
 
 def bare_usage(spec: SceneSpec, work: Path) -> Usage:
-    """Return what `bare` takes for a spec, measured once."""
+    """Return the cost of `bare` for a spec, measured once."""
     result = work / "bare.json"
     if not result.exists():
         write_json(result, asdict(usage(child.command(bare, str(spec_file(spec, work)), str(work / "bare")))))

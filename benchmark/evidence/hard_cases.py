@@ -189,7 +189,7 @@ def plate_with_fire(dataset: Dataset) -> Picture:
 
 
 def cases(dataset: Dataset) -> dict[str, Dataset]:
-    """Return what is wrong -> the dataset that it is wrong with."""
+    """Return the dataset of each fault."""
     beam = behind_a_beam(dataset)
     rate = 1 / dataset.frame_time_s
     return {

@@ -40,7 +40,7 @@ class MotionBounds:
 
 
 @dataclass(frozen=True)
-class Clip:
+class ClipFields:
     """A clip's fields on its voxels: velocities (F, V, 3) m/s, emission (F, V); `layer` (V,) across the axis."""
 
     layer: np.ndarray
@@ -108,12 +108,12 @@ def with_speed_of(speed: np.ndarray, direction: np.ndarray) -> np.ndarray:
 
 
 def rows(field: FlowField, metres: bool, dataset: Dataset) -> dict[str, str]:
-    """Return what is known -> its score."""
+    """Return the score of each kind of knowledge."""
     voxels, emission, seen = field.voxels, field.emission, field.velocity
     truth = np.stack([dataset.velocity.at(frame.time_s).sample(voxels.center) for frame in field.frames])
     describer = FlameDescriber.of(field)
     assert describer is not None, f"{dataset.path}: nothing moves"
-    clip = Clip(describer.axis.layers.nearest, emission, truth)
+    clip = ClipFields(describer.axis.layers.nearest, emission, truth)
     gas = FlowPrior.load().correct(field, metres).velocity
 
     def speed(velocity: np.ndarray) -> float:

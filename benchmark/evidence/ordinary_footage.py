@@ -189,7 +189,7 @@ def gof(*words: str) -> tuple[int, str]:
 
 
 def run(variant: Variant, config: OrdinaryFootage, originals: list[np.ndarray], number: int) -> tuple[str, str]:
-    """Return what `gof ingest` says of the variant, and how far apart in original frames its pairs are."""
+    """Return the output of `gof ingest` on the variant, and the distance of its pairs in original frames."""
     folder = config.out / f"{number:02d}"
     shutil.rmtree(folder, ignore_errors=True)
     videos = make_videos(variant, config, folder / "videos")

@@ -97,12 +97,12 @@ def figures(dataset: Dataset, draw: Draw) -> np.ndarray:
 
 
 def mean_of_neighbours(dataset: Dataset) -> Draw:
-    """Return what shows a frame as the mean of the two around it."""
+    """Return a function that gives a frame as the mean of the two around it."""
     return lambda c, k: (dataset.image(c, k - 1) + dataset.image(c, k + 1)) / 2
 
 
 def carried_along_flow(dataset: Dataset) -> Draw:
-    """Return what carries both neighbours half way along the optical flow from one to the other, and takes their
+    """Return a function that carries both neighbours half way along the flow from one to the other, and takes their
     mean."""
 
     def draw(c: int, k: int) -> Picture:
@@ -122,7 +122,7 @@ def _fetched(picture: Picture, flow: np.ndarray) -> Picture:
 
 
 def of_result(dataset: Dataset, folder: Path) -> Draw:
-    """Return what draws the result of `gof reconstruct` in a folder: over its plates, or with its own still scene."""
+    """Return a drawer of the result of `gof reconstruct` in a folder: over its plates, or with its own still scene."""
     gaussians = TransientGaussians.load(folder / "result.npz")
     cameras = range(len(dataset.cameras))
     plates = [background(dataset, c, folder) for c in cameras] if gaussians.dynamic.all() else [None for _ in cameras]

@@ -58,7 +58,7 @@ class Drawn:
 
 
 @dataclass(frozen=True)
-class Moment:
+class HeldOutView:
     """A camera at a held-out frame: what moves there, (H, W) bool, and the depth, 1/depth that are expected."""
 
     camera: Camera
@@ -83,7 +83,7 @@ def what_is_drawn(folder: Path) -> dict[str, Drawn]:
     }
 
 
-def moments(dataset: Dataset, maps: Path) -> Iterator[Moment]:
+def moments(dataset: Dataset, maps: Path) -> Iterator[HeldOutView]:
     """Yield every held-out frame that another follows."""
     for c, camera in enumerate(dataset.cameras):
         board = dataset.board_weight(c)
@@ -93,10 +93,10 @@ def moments(dataset: Dataset, maps: Path) -> Iterator[Moment]:
             moves = moving(dataset.image(c, k), dataset.image(c, k + 1), dis)
             flame = moves if board is None else moves & (board > 0.5)
             depth, disparity = (read_depth(maps / kind, camera.name, k) for kind in ("depth", "disparity"))
-            yield Moment(camera, float(dataset.camera_times_s(c)[k]), flame, depth, disparity)
+            yield HeldOutView(camera, float(dataset.camera_times_s(c)[k]), flame, depth, disparity)
 
 
-def scores(drawn: Drawn, moment: Moment) -> tuple[float, float]:
+def scores(drawn: Drawn, moment: HeldOutView) -> tuple[float, float]:
     """Error of inverse depth, and how far off the flame stands; NaN where undefined."""
     disparity = drawn_disparity(drawn.whole, moment.camera, moment.time_s)
     error = rmse_disparity(disparity, moment.disparity, moment.flame)

@@ -88,7 +88,7 @@ class Truth:
 
 
 @dataclass(frozen=True)
-class Flame:
+class ViewedFlame:
     """One fire.
 
     Args:
@@ -105,7 +105,7 @@ class Flame:
     cut: bool = False
 
 
-def flame_of(path: Path, clip_rate_hz: float = 0.0) -> Flame:
+def flame_of(path: Path, clip_rate_hz: float = 0.0) -> ViewedFlame:
     """Open whatever a folder holds: grids of a solver, a dataset, or one video per camera.
 
     Args:
@@ -127,7 +127,7 @@ def flame_of(path: Path, clip_rate_hz: float = 0.0) -> Flame:
 # ---------------------------------------------------------------- a solver's grids
 
 
-def of_grids(fire: FireGrids) -> Flame:
+def of_grids(fire: FireGrids) -> ViewedFlame:
     """From the truth; on the axis of the first burner, over the history where there is one, else over the clip.
 
     Raises:
@@ -167,7 +167,7 @@ def of_grids(fire: FireGrids) -> Flame:
         windy=any(fire.description.wind_m_s),
     )
     views = tuple(View(z, brightest, total) for brightest in (from_x, from_y))
-    return Flame(fire.description.name, fire.description.solver.split()[0], fire.times_s, views, truth)
+    return ViewedFlame(fire.description.name, fire.description.solver.split()[0], fire.times_s, views, truth)
 
 
 def _of_history(history: FireHistory, hearth: Hearth, clip: Axis) -> tuple[Axis, Swings]:
@@ -202,7 +202,7 @@ def _on_axis(
 # ---------------------------------------------------------------- a dataset
 
 
-def of_dataset(dataset: Dataset) -> Flame:
+def of_dataset(dataset: Dataset) -> ViewedFlame:
     """Return that of a generated dataset. A fire that we simulate: speed from `velocity.zarr`, light from the linear
     pictures of all cameras, the burner from the spec, its heat unknown. One of grids: the grids themselves.
 
@@ -232,7 +232,7 @@ def of_dataset(dataset: Dataset) -> Flame:
     top = float(height_m[-1])
     views = tuple(_picture_view(dataset, number, base, top) for number in range(len(dataset.cameras)))
     truth = Truth(diameter_m, axis, swings, fastest, windy="wind" in spec.effect_names)
-    return Flame("/".join(dataset.path.resolve().parts[-2:]), "Mantaflow", dataset.times_s, views, truth)
+    return ViewedFlame("/".join(dataset.path.resolve().parts[-2:]), "Mantaflow", dataset.times_s, views, truth)
 
 
 def _picture_view(dataset: Dataset, number: int, base: np.ndarray, top_m: float) -> View:
@@ -283,7 +283,7 @@ def _flame_red(path: Path) -> np.ndarray:
 # ---------------------------------------------------------------- filmed clips
 
 
-def of_clips(name: str, videos: list[Path], rate_hz: float) -> Flame:
+def of_clips(name: str, videos: list[Path], rate_hz: float) -> ViewedFlame:
     """Return that of a real fire, one video a camera: light above the scene without fire, the darkest of each pixel.
 
     Heights are pixels above the flame's foot; the brightest light may be clipped by the sensor.
@@ -296,7 +296,7 @@ def of_clips(name: str, videos: list[Path], rate_hz: float) -> Flame:
     filmed = [_filmed_view(video) for video in videos]
     count = min(len(view.total) for view, _ in filmed)
     views = tuple(View(view.height, view.brightest[:count], view.total[:count]) for view, _ in filmed)
-    return Flame(name, "real", np.arange(count) / rate_hz, views, cut=any(cut for _, cut in filmed))
+    return ViewedFlame(name, "real", np.arange(count) / rate_hz, views, cut=any(cut for _, cut in filmed))
 
 
 def _filmed_view(video: Path) -> tuple[View, bool]:

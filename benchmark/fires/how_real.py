@@ -15,7 +15,7 @@ from gof.dataset import DatasetDescription
 from gof.host.terminal import progress_bar
 from gof.look.charts import line_chart
 from gof_benchmark.fires import SPLITS, measures
-from gof_benchmark.fires.flames import Axis, Flame, Truth, View, flame_of
+from gof_benchmark.fires.flames import Axis, Truth, View, ViewedFlame, flame_of
 from gof_benchmark.fires.measures import ZONES, heskestad_heat, heskestad_height, mccaffrey_speed, puffing_law
 
 BANDS = ((0.1, 0.4), (0.4, 0.7), (0.7, 1.0))  # of the flame's height, through which structures are followed
@@ -90,7 +90,7 @@ class Seen:
     over_gas: float
 
 
-def seen(flame: Flame) -> Seen:
+def seen(flame: ViewedFlame) -> Seen:
     """Return the measures of the views; see `Seen`."""
     per_view = [_seen(flame.time_s, view) for view in flame.views]
     height, flicker, slope, *rise = (_median(values) for values in zip(*per_view, strict=True))
@@ -197,7 +197,7 @@ SOLVER_HEAD = (
 )
 
 
-def laws_row(flame: Flame, looks: Seen) -> tuple[str, ...]:
+def laws_row(flame: ViewedFlame, looks: Seen) -> tuple[str, ...]:
     """Return a simulated fire's line under LAWS_HEAD."""
     truth, figures = flame.truth, laws(flame.truth, looks.height)
     height = f"{looks.height:.2f}" + ("" if math.isnan(figures.height_law_m) else f" ({figures.height_law_m:.2f})")
@@ -217,7 +217,7 @@ def laws_row(flame: Flame, looks: Seen) -> tuple[str, ...]:
     )
 
 
-def seen_row(flame: Flame, looks: Seen) -> tuple[str, ...]:
+def seen_row(flame: ViewedFlame, looks: Seen) -> tuple[str, ...]:
     """Return a fire's line under SEEN_HEAD."""
     rate = 1 / float(np.median(np.diff(flame.time_s)))
     return (
@@ -232,7 +232,7 @@ def seen_row(flame: Flame, looks: Seen) -> tuple[str, ...]:
     )
 
 
-def solver_row(flame: Flame, looks: Seen) -> tuple[str, ...]:
+def solver_row(flame: ViewedFlame, looks: Seen) -> tuple[str, ...]:
     """Return a solver's fire's line under SOLVER_HEAD."""
     truth, figures = flame.truth, laws(flame.truth, looks.height)
     return (
@@ -258,7 +258,7 @@ def table(head: tuple[str, ...], rows: list[tuple[str, ...]]) -> str:
 # ---------------------------------------------------------------- charts
 
 
-def draw(flames: list[Flame], looks: list[Seen], folder: Path) -> None:
+def draw(flames: list[ViewedFlame], looks: list[Seen], folder: Path) -> None:
     """Draw the speed on the axis in still air, scaled as McCaffrey does, a chart a solver; all flicker in one chart."""
     folder.mkdir(parents=True, exist_ok=True)
     for source in sorted({flame.source for flame in flames if flame.truth}):
@@ -296,7 +296,7 @@ def _scaled(axis: Axis, heat_kw: float) -> list[tuple[float, float, str]]:
     return [(float(a), float(np.interp(a, z, u)), "") for a in at]
 
 
-def _mean_spectrum(flames: list[Flame], source: str) -> list[tuple[float, float, str]]:
+def _mean_spectrum(flames: list[ViewedFlame], source: str) -> list[tuple[float, float, str]]:
     """Geometric mean over a source's fires, each the geometric mean over its views."""
     powers = [_power(flame) for flame in flames if flame.source == source]
     powers = [power for power in powers if power is not None]
@@ -306,7 +306,7 @@ def _mean_spectrum(flames: list[Flame], source: str) -> list[tuple[float, float,
     return [(float(f), float(p), "") for f, p in zip(CHART_HZ, mean, strict=True)]
 
 
-def _power(flame: Flame) -> np.ndarray | None:
+def _power(flame: ViewedFlame) -> np.ndarray | None:
     """Return the power of a flame's light over its mean, at CHART_HZ; None where its clip is too slow or too short to
     say."""
     if math.isnan(measures.flicker(flame.time_s, np.ones(len(flame.time_s)))[0]):

@@ -114,7 +114,7 @@ class Samples:
 
 
 @dataclass(frozen=True)
-class Flame:
+class TrainingFlame:
     """One flame as the prior sees it.
 
     Attributes:
@@ -126,7 +126,7 @@ class Flame:
     samples: Samples
 
     @classmethod
-    def of(cls, field: FlowField, truth: np.ndarray) -> Flame:
+    def of(cls, field: FlowField, truth: np.ndarray) -> TrainingFlame:
         """From a field with no other flame's light, and its true velocity (F, V, 3). Raises GofError: nothing moves."""
         describer = FlameDescriber.of(field)
         if describer is None:
@@ -137,7 +137,7 @@ class Flame:
 
 
 @dataclass(frozen=True)
-class Clip:
+class TrainingClip:
     """One dataset: a flame, or several side by side.
 
     Attributes:
@@ -149,10 +149,10 @@ class Clip:
     solver: str
     dataset: Dataset
     field: FlowField
-    flames: tuple[Flame, ...]
+    flames: tuple[TrainingFlame, ...]
 
     @classmethod
-    def of(cls, path: Path) -> Clip:
+    def of(cls, path: Path) -> TrainingClip:
         dataset = open_small(path)
         field = preview_field(observe(dataset))
         fire = read_json(path / "spec.json")["fire"]
@@ -160,7 +160,7 @@ class Clip:
         burns = Path(fire["grids"]).parent.name if "grids" in fire else path.name
         truth = np.stack([dataset.velocity.at(frame.time_s).sample(field.voxels.center) for frame in field.frames])
         own = several_flames(field)
-        flames = tuple(Flame.of(alone(field, own == k), truth) for k in range(own.max() + 1))
+        flames = tuple(TrainingFlame.of(alone(field, own == k), truth) for k in range(own.max() + 1))
         return cls(burns, solver, dataset, field, flames)
 
 
@@ -188,7 +188,7 @@ class Row:
     trivial_baselines: tuple[tuple[float, ...], ...]
 
     @classmethod
-    def of(cls, clip: Clip, prior: FlowPrior) -> Row:
+    def of(cls, clip: TrainingClip, prior: FlowPrior) -> Row:
         seen, dataset = clip.field, clip.dataset
         found = prior.correct(seen)
         trivial_baselines = mean_per_height(seen, dataset), best_constant(seen, dataset), buoyant_law(seen)
@@ -215,7 +215,7 @@ class Row:
         return f"{own} | {' | '.join(map(listed, self.trivial_baselines))}"
 
 
-def pace_error(clip: Clip, pace: Pace, metres: bool = True) -> np.ndarray:
+def pace_error(clip: TrainingClip, pace: Pace, metres: bool = True) -> np.ndarray:
     """Log of estimated over true pace of each flame."""
     found = pace.side_by_side([flame.clues for flame in clip.flames], metres)
     return np.log(found) - np.log([flame.pace for flame in clip.flames])
@@ -349,14 +349,14 @@ def main(argv: list[str] | None = None) -> None:
     everything = []
     with progress_bar("motion") as progress:
         for path in paths:
-            everything.append(Clip.of(path))
+            everything.append(TrainingClip.of(path))
             progress(len(everything), len(paths))
     clips = [clip for clip in everything if clip.solver != config.without]
 
     print(HEADER)
     rows = []
 
-    def show(name: str, clip: Clip, prior: FlowPrior) -> None:
+    def show(name: str, clip: TrainingClip, prior: FlowPrior) -> None:
         rows.append(Row.of(clip, prior))
         print(f"| `{name}` | {rows[-1]} |", flush=True)
 
@@ -364,7 +364,7 @@ def main(argv: list[str] | None = None) -> None:
     without = [LeftOut.of(clip, known) for clip, known in zip(clips, others, strict=True)]
     errors = {clip.dataset.path: left.errors for clip, left in zip(clips, without, strict=True)}
 
-    def uncertainty_of(known: list[Clip], scaling: Scaling) -> Network:
+    def uncertainty_of(known: list[TrainingClip], scaling: Scaling) -> Network:
         return train_uncertainty(
             scaling, samples_of(known), [error for clip in known for error in errors[clip.dataset.path]]
         )
@@ -384,18 +384,18 @@ def main(argv: list[str] | None = None) -> None:
         if clip.solver == config.without:
             show(clip.dataset.path.name, clip, prior)
     for path in config.test:
-        show(str(path), Clip.of(path), prior)
+        show(str(path), TrainingClip.of(path), prior)
     with atomic_path(config.out) as temporary:
         prior.save(temporary)
     print(f"pace: metric {prior.pace.metric.round(2)}, unitless {prior.pace.unitless.round(2)}")
     print(f"weights -> {config.out}")
 
 
-def samples_of(clips: list[Clip]) -> list[Samples]:
+def samples_of(clips: list[TrainingClip]) -> list[Samples]:
     return [flame.samples for clip in clips for flame in clip.flames]
 
 
-def fitted_pace(clips: list[Clip]) -> Pace:
+def fitted_pace(clips: list[TrainingClip]) -> Pace:
     flames = [flame for clip in clips for flame in clip.flames]
     return Pace.fit([flame.clues for flame in flames], [flame.pace for flame in flames])
 
@@ -410,7 +410,7 @@ class LeftOut:
     errors: tuple[torch.Tensor, ...]
 
     @classmethod
-    def of(cls, clip: Clip, others: list[Clip]) -> LeftOut:
+    def of(cls, clip: TrainingClip, others: list[TrainingClip]) -> LeftOut:
         pace = fitted_pace(others)
         scaling, velocity = train_velocity(samples_of(others))
         ratios = np.exp(pace_error(clip, pace))

@@ -38,7 +38,7 @@ def air(spec: SceneSpec) -> tuple[np.ndarray, np.ndarray]:
 
 
 def notes(spec: SceneSpec, bodies: Iterable[Body]) -> list[str]:
-    """Return what the maker of the scene should know of them; nothing where no gas is simulated."""
+    """Return notes for the maker of the scene on them; none where no gas is simulated."""
     if not isinstance(spec.fire, Fire):
         return []
     low, high = air(spec)

@@ -282,7 +282,7 @@ WRONG = 2  # exit status of the worker where the spec or its .blend is wrong
 
 
 def scene_notes(spec: SceneSpec, python: list[str]) -> list[str]:
-    """Return what the maker of the scene should know of its objects (`pure.bodies`); nothing without a .blend.
+    """Return notes for the maker of the scene on its objects (`pure.bodies`); none without a .blend.
 
     Args:
         python: a command that runs the Python code given as its next argument, in a Blender without a window.

@@ -190,7 +190,7 @@ def _frames(truth: VelocitySequence, clip_s: np.ndarray, dataset: Path) -> list[
 
 
 def probe(cloud: GaussianCloud, truth: VelocitySequence, number: int) -> Frame:
-    """Return what lives and moves at a stored frame, with the expected true velocity under each. Raises:
+    """Return the Gaussians that live and move at a stored frame, with the expected true velocity under each. Raises:
     DataFormatError."""
     dt = np.where(cloud.dynamic, truth.times_s[number] - cloud.t_mu, 0.0)
     position = (cloud.position + dt[:, None] * cloud.velocity).astype(np.float32).astype(float)

@@ -124,7 +124,7 @@ class Fire:
 
     @cached_property
     def sheet(self) -> Sheet:
-        """Return what the flame's light looks up, unless it is that of the reaction."""
+        """Return the sheet that the flame's light looks up, unless its light is that of the reaction."""
         return sheet(FUELS[self.fuel], 2 * self.radius, self.intensity, thin=self.light == "sheets")
 
     @property
@@ -134,7 +134,7 @@ class Fire:
 
     @property
     def burner(self) -> Burner:
-        """Return what surroundings draw under the flame."""
+        """Return the burner that surroundings draw under the flame."""
         return Burner(self.position, self.radius, self.half_size[2])
 
     def bake_steps(self, timeline: Timeline) -> int:
@@ -143,7 +143,7 @@ class Fire:
 
     @property
     def title(self) -> str:
-        """Return what burns, for people."""
+        """Return the name of the fuel, for people."""
         return self.fuel.replace("_", " ")
 
 
@@ -205,7 +205,7 @@ class GridFire:
 
     @property
     def burner(self) -> Burner | None:
-        """Return what surroundings draw under the flame: a round one that reaches around all that the solver tells of.
+        """Return the burner that surroundings draw: a round one that reaches around all that the solver tells of.
 
         None where the grids are not at hand, as in a dataset that was copied. Raises SpecError: see `store`.
         """
@@ -226,5 +226,5 @@ class GridFire:
 
     @property
     def title(self) -> str:
-        """Return what burns, for people."""
+        """Return the name of the fuel, for people."""
         return f"grids of {self.grids}"

@@ -52,7 +52,7 @@ class Layout:
 
     @property
     def inputs(self) -> Path:
-        """Return what the spec's files were when the folder was claimed."""
+        """Return the spec's files as they were when the folder was claimed."""
         return self.hidden / "inputs.json"
 
     @property
@@ -104,7 +104,7 @@ class Layout:
         return self.bake / "data" / f"vel_{blender_frame:04d}.uni"
 
     def step_grids(self, blender_frame: int) -> Path:
-        """Return what Cycles renders of a fire of grids in a step."""
+        """Return the file of a fire of grids that Cycles renders in a step."""
         return self.bake / f"{blender_frame:06d}.vdb"
 
     def is_baked(self, blender_frame: int) -> bool:
@@ -112,11 +112,11 @@ class Layout:
         return self.bake_marker.is_file() or self.cached_velocity(blender_frame + 1).is_file()
 
     def pictures(self) -> int:
-        """Return how many pictures are finished: their EXR is written last."""
+        """Return the number of finished pictures: their EXR is written last."""
         return sum(1 for _ in self.root.glob("cameras/*/exr/[0-9]*.exr"))
 
     def plates(self, cameras: list[str]) -> int:
-        """Return how many of the cameras' plates are finished."""
+        """Return the number of the cameras' plates that are finished."""
         return sum(self.static_exr(name).is_file() for name in cameras)
 
     def log(self, stage: str) -> Path:
@@ -124,7 +124,7 @@ class Layout:
 
     @property
     def job_log(self) -> Path:
-        """Return what a job has done, stage by stage, for people."""
+        """Return the progress of a job, stage by stage, for people."""
         return self.hidden / "job.log"
 
     def claim(self, spec: SceneSpec) -> None:
@@ -221,7 +221,7 @@ class Layout:
 
 
 def leaving(layout: Layout) -> list[str]:
-    """Return what a finished bake says of a flame that reaches the domain's sides, where it is cut off; nothing of
+    """Return a finished bake's warning of a flame that reaches the domain's sides, where it is cut off; nothing of
     others."""
     if not layout.bake_marker.is_file():
         return []

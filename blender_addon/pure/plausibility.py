@@ -1,7 +1,7 @@
 """Whether the parts of a scene make sense together, asked before anything is simulated.
 
 A spec whose fields are all in range may still describe a picture of nothing: a camera in the fire, a wall through it.
-A spec that makes no dataset at all is refused; a doubtful one is warned of. Every message has the
+A spec that makes no dataset at all is refused; an odd one is warned of. Every message has the
 number that would be right.
 """
 
@@ -42,7 +42,7 @@ class Finding:
 
 
 def require_sense(spec: SceneSpec, files: bool = True) -> list[str]:
-    """Return what the maker of the scene should know.
+    """Return the findings for the maker of the scene.
 
     Args:
         files: also look whether the files that the spec names are there.
@@ -219,7 +219,7 @@ SPARE = 1.05
 
 
 def studio_scale(spec: SceneSpec) -> float:
-    """Return how many times its own size the studio is built, so that fire and cameras stand in it; 1 where they do."""
+    """Return the factor by which the studio is built larger, so that fire and cameras stand in it; 1 where they do."""
     room, box = FREE_SPACE["studio"], spec.box
     reach = [high / there for high, there in zip(box.max, room.high, strict=True)]
     reach += [low / there for low, there in zip(box.min[:2], room.low[:2], strict=True)]

@@ -142,7 +142,7 @@ def _part(padded: np.ndarray, axis: int, start: int) -> np.ndarray:
 
 
 def soot_share(height_m: np.ndarray, onset_m: float) -> np.ndarray:
-    """Return how much of its soot the gas at a height above the burner has already, 0 to 1."""
+    """Return the share of its soot that the gas has at a height above the burner, 0 to 1."""
     return smoothstep(height_m, 0.0, onset_m) if onset_m > 0 else np.zeros_like(height_m, dtype=float)
 
 

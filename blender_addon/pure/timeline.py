@@ -81,7 +81,7 @@ class Timeline:
         return self.first_frame + max(last_seen, (self.clip.frames - 1) * self.steps_per_frame)
 
     def picture(self, camera: int, frame: int) -> Picture:
-        """Return what the effects in a camera are told of a picture; frame -1 is the plate."""
+        """Return a picture's description for the effects in a camera; frame -1 is the plate."""
         return Picture(camera, frame, self.clip.fps, self.lines, self.seed)
 
     def timing(self, camera: int, frame: int) -> Timing:

@@ -36,7 +36,7 @@ def unwatch() -> None:
 
 
 def _needs(thing: bpy.types.Object) -> list[Path]:
-    """Return what an object's flame is read from, where a dataset was made of it."""
+    """Return the files that an object's flame is read from, where a dataset was made of it."""
     if thing.type == "VOLUME":
         files = [thing.data.filepath]
     else:

@@ -18,7 +18,7 @@ SOLID = {"MESH", "CURVE", "SURFACE", "FONT", "META"}
 
 
 def notes(spec: SceneSpec, graph: bpy.types.Depsgraph, things: set[bpy.types.Object], to_ours: Matrix) -> list[str]:
-    """Return what the maker of a scene should know of its objects in the domain (`pure.bodies`).
+    """Return notes for the maker of a scene on its objects in the domain (`pure.bodies`).
 
     Args:
         graph: evaluated, of the scene that has the objects; also tells what they are instanced by.
@@ -38,7 +38,7 @@ def notes(spec: SceneSpec, graph: bpy.types.Depsgraph, things: set[bpy.types.Obj
 
 
 def signature(spec: SceneSpec, graph: bpy.types.Depsgraph, things: set[bpy.types.Object], to_ours: Matrix) -> tuple:
-    """Return what `notes` depend on, without the shapes inside the boxes around objects: quick, for panels."""
+    """Return the state that `notes` depend on, without shapes inside the boxes around objects: quick, for panels."""
     near = [
         (owner.name, blend_file.is_obstacle(owner), *map(tuple, shown.bound_box), *map(tuple, pose))
         for owner, shown, pose in _near(spec, graph, things, to_ours)

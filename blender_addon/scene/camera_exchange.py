@@ -29,7 +29,7 @@ def chosen(scene: bpy.types.Scene) -> list[bpy.types.Object]:
 
 
 def describe(camera: bpy.types.Object, scene: bpy.types.Scene, to_file: Matrix) -> CameraEntry:
-    """Return what a camera sees at the current frame, by the very matrix that Blender projects with.
+    """Return the view of a camera at the current frame, by the very matrix that Blender projects with.
 
     Args:
         to_file: from the scene's world to the file's.

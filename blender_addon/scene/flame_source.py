@@ -54,7 +54,7 @@ class FlameSource(Protocol):
         """Return emitted light, up to one factor."""
 
     def provenance(self) -> dict[str, Any]:
-        """Return what the dataset says of the flame's origin beside its spec."""
+        """Return the dataset's notes on the flame's origin beside its spec."""
 
 
 def flame_source(spec: SceneSpec) -> FlameSource:

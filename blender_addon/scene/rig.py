@@ -38,7 +38,7 @@ def build(spec: SceneSpec, collection: bpy.types.Collection) -> list[bpy.types.O
 
 
 def _fire_begins_at(spec: SceneSpec, pose: Matrix) -> float:
-    """Return how far before a camera the fire's box begins, m; below 0 for a camera in it.
+    """Return the distance from a camera to the fire's box, m; below 0 for a camera in it.
 
     Surroundings are made to be seen from one side: what of them is nearer than the fire would hide it.
     """

@@ -317,7 +317,7 @@ class GOF_PT_benchmark(SidebarPanel, bpy.types.Panel):
 
 
 def _unused(scene: bpy.types.Scene) -> list[str]:
-    """Return what of the Fire panel is left out because the fire comes as grids."""
+    """Return the settings of the Fire panel that are left out because the fire comes as grids."""
     settings = scene.gof.benchmark
     if settings.background == "file" or not settings.grids:
         return []
@@ -326,7 +326,7 @@ def _unused(scene: bpy.types.Scene) -> list[str]:
 
 
 def loss(job: Job) -> list[str]:
-    """Return what stopping a job now costs, as lines of a question."""
+    """Return the cost of stopping a job now, as lines of a question."""
     if job.stage == "bake":
         done = f"The bake is {100 * job.share:.0f} % done. Stopped now, it would start over."
         return ["Stop the benchmark?", done, "Esc goes on with it."]
@@ -337,7 +337,7 @@ _seen: tuple[tuple, list[str]] = ((), [])  # what the panel has said last of thi
 
 
 def _in_this_scene(context, spec: SceneSpec, again: bool) -> list[str]:
-    """Return what the user should know of this scene's objects in the fire's domain.
+    """Return notes for the user on this scene's objects in the fire's domain.
 
     A panel, which is drawn all the time, looks ``again`` only where an object has moved or changed its size.
     """

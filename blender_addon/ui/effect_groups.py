@@ -30,7 +30,7 @@ def _descriptions(settings: type) -> dict[str, str]:
 
 
 def label(name: str, note: str) -> str:
-    """Return what a panel calls a field: its name, and its unit by the suffix or, without one, by its description."""
+    """Return a field's name on a panel: its name, and its unit by the suffix or, without one, by its description."""
     for suffix, unit in SUFFIXES.items():
         if name.endswith(f"_{suffix}"):
             return f"{name.removesuffix('_' + suffix).replace('_', ' ').capitalize()} ({unit})"

@@ -62,5 +62,5 @@ def show_text(context, path: Path) -> None:
 
 
 def _rna(owner):
-    """Return what Blender knows of the properties of a group or an operator."""
+    """Return Blender's record of the properties of a group or an operator."""
     return getattr(owner, "properties", owner).bl_rna.properties

@@ -112,7 +112,7 @@ class CapturedScene:
 
 
 def read_scene(dataset: Path, datum: Datum) -> GeneratedScene | CapturedScene:
-    """Return what is known of a dataset's scene, a capture's measured from the datum: Blender knows float32 alone.
+    """Return the scene of a dataset, a capture's measured from the datum: Blender knows float32 alone.
 
     Raises DataFormatError as `read_spec`, but not for a capture.
     """

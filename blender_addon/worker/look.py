@@ -29,7 +29,7 @@ def main(argv: list[str] | None = None) -> int:
 
 
 def look(spec: scene_spec.SceneSpec) -> list[str]:
-    """Return what is to be said of the surroundings, which are built as a dataset has them. Raises SpecError: see
+    """Return notes on the surroundings, which are built as a dataset has them. Raises SpecError: see
     `build`."""
     import bpy
     from mathutils import Matrix

@@ -23,7 +23,7 @@ CODECS = {"lossless": ("FFV1", ".avi"), "mpeg4": ("mp4v", ".mp4")}
 
 
 @dataclass(frozen=True)
-class Alignment:
+class AlignedFrames:
     """Which stored frames belong together.
 
     Attributes:
@@ -48,7 +48,7 @@ class Alignment:
         return float((off.max(0) - off.min(0)).max())
 
 
-def align(cameras: tuple[SyncedVideo, ...]) -> Alignment:
+def align(cameras: tuple[SyncedVideo, ...]) -> AlignedFrames:
     """Instants that all cameras with times filmed, and their nearest frames.
 
     Raises GofError: fewer than two cameras have times, or they share fewer than two instants.
@@ -66,10 +66,10 @@ def align(cameras: tuple[SyncedVideo, ...]) -> Alignment:
         raise GofError("the cameras share fewer than two instants: were they filming together?")
     frames = {name: np.abs(instants[:, None] - t).argmin(1) for name, t in time_s.items()}
     off = {name: 1e6 * (t[frames[name]] - instants) for name, t in time_s.items()}
-    return Alignment(instants, frames, off)
+    return AlignedFrames(instants, frames, off)
 
 
-def write_aligned(out: Path, take: FrameTimesFile, layout: Layout, codec: Codec, trial: str = "take") -> Alignment:
+def write_aligned(out: Path, take: FrameTimesFile, layout: Layout, codec: Codec, trial: str = "take") -> AlignedFrames:
     """Write the videos, and `aligned_times.csv` with what each of their frames is.
 
     Raises:
@@ -124,7 +124,7 @@ def _write_video(path: Path, frames: Iterator[np.ndarray], fps: float, codec: Co
         writer.release()
 
 
-def _table(alignment: Alignment) -> str:
+def _table(alignment: AlignedFrames) -> str:
     """CSV: frame of the aligned videos, its time, and for each camera the stored frame and how late it is."""
     text = io.StringIO()
     table = csv.writer(text, lineterminator="\n")

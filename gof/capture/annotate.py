@@ -148,7 +148,7 @@ def _write_mask(mask: np.ndarray, size: tuple[int, int], path: Path) -> float:
 def board_mask(
     board: BoardInImage, template: BoardTemplate, size: tuple[int, int], margin: float = 0.25, feather: float = 0.35
 ) -> np.ndarray:
-    """Return how much each pixel belongs to the board: 1 on it, 0 away from it.
+    """Return the share of each pixel that belongs to the board: 1 on it, 0 away from it.
 
     Args:
         size: (width, height) of the picture.

@@ -16,7 +16,7 @@ BAD_VIEW = 3.0  # times the median reprojection error; such a view was blurred, 
 MINIMUM_TILT_DEG = 4.0  # mean, below which the focal length is OpenCV's first guess (tests: views from one direction)
 MAXIMUM_FOCAL_SPREAD = 0.02  # of the focal length
 LOOK_AT = 8  # pictures, for what a target looks like that is not the one that was said
-DOUBTFUL_RMS_PX, MAXIMUM_RMS_PX = 0.7, 3.0  # sharp footage has 0.1 to 0.3; more is a warning, or refused
+WARNING_RMS_PX, MAXIMUM_RMS_PX = 0.7, 3.0  # sharp footage has 0.1 to 0.3; more is a warning, or refused
 ODD_CENTRE = 0.1  # of the picture: where the optical axis may lie beside its middle
 ODD_ASPECT = 0.02  # by which the focal lengths may differ; real cameras' by 0.002
 GRID = (8, 6)  # cells of the picture for the coverage, across and down
@@ -56,7 +56,7 @@ class Calibration:
         )
 
     def warnings(self) -> list[str]:
-        """Return what could be better, and how."""
+        """Return warnings with their remedies, in words."""
         out = []
         if self.coverage < 0.7:
             out.append(
@@ -75,7 +75,7 @@ class Calibration:
                 f"the focal lengths differ ({fx:.0f} across, {fy:.0f} down): is the footage stretched, or are the "
                 "target's squares no squares on the print?"
             )
-        if self.rms_px > DOUBTFUL_RMS_PX:
+        if self.rms_px > WARNING_RMS_PX:
             out.append(
                 f"the corners miss the model by {self.rms_px:.2f} px; "
                 "is the target flat, the footage sharp, the zoom fixed?"
@@ -214,7 +214,7 @@ def _fit(views: list[_View], size: tuple[int, int]) -> _Fit:
 
 
 def _mean_tilt_deg(turns: np.ndarray) -> float:
-    """Return how far the target's normals are from their mean, on average. Parallel views leave the focal length open;
+    """Return the mean angle between the target's normals and their mean. Parallel views leave the focal length open;
     OpenCV then keeps its first guess and calls it certain."""
     import cv2
 

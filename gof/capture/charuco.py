@@ -81,7 +81,7 @@ class Charuco:
         return out
 
     def looks_like(self, pictures: list[np.ndarray]) -> str:
-        """Return what a target that is not found looks like, as a remedy in words; "" where nothing is recognised."""
+        """Return a remedy in words by the looks of a target that is not found; "" where nothing is recognised."""
         turned = replace(self, columns=self.rows, rows=self.columns)
         if any(turned.corners(p, old) for p in pictures for old in {False, turned.has_old_layout}):
             return f"it looks like --squares {turned.columns}x{turned.rows}"

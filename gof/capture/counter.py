@@ -189,7 +189,7 @@ def vote(
 def lag(
     template: BoardTemplate, on: np.ndarray, known: np.ndarray, led_time: np.ndarray, period: float, exposure: float
 ) -> float | None:
-    """Return how many periods after their time the LEDs change, -0.5 to 0.5: 0 where strips and LEDs belong together.
+    """Return the delay of the LEDs' changes in periods, -0.5 to 0.5: 0 where strips and LEDs belong together.
     None where no LED changes often enough to tell.
 
     Args:
@@ -214,7 +214,7 @@ def lag(
 
 
 def contradiction(board: str, vote: CountVote) -> str:
-    """Return what to say of LEDs that contradict each other."""
+    """Return a warning of LEDs that contradict each other."""
     return (
         f"no count of board '{board}' explains its LEDs: the best fits {vote.agreement:.1%} of {vote.readings} clean "
         "readings. Is it another board (--board), or is an LED dead, hidden, or wired in "

@@ -141,7 +141,7 @@ def _corners(summary: Summary, board: BoardTemplate) -> np.ndarray | None:
 
 
 def _strip_likeness(summary: Summary, board: BoardTemplate, corners: np.ndarray) -> _Likeness:
-    """Return what blinks beside the marker, against the template's LEDs."""
+    """Return the lights that blink beside the marker, against the template's LEDs."""
     import cv2
 
     H, _ = cv2.findHomography(MARKER_CORNERS, corners)
@@ -201,7 +201,7 @@ def _require_chosen(chosen: Board, found: Board | None, likeness: dict[str, dict
 
 
 def _evidence(likeness: dict[str, dict[str, _Likeness]]) -> str:
-    """Return what every camera says of every board, in words."""
+    """Return every camera's findings about every board, in words."""
     said = []
     for camera, found in likeness.items():
         each = [

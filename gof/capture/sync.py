@@ -96,7 +96,7 @@ def synchronise(
 
 
 def _said(camera: SyncedVideo) -> list[str]:
-    """Return what is known against a camera."""
+    """Return the warnings of a camera."""
     own = [] if camera.times is None else [*camera.times.faults, *camera.times.warnings]
     return [f"{camera.name}: {text}" for text in ([camera.error] if camera.error else []) + own]
 

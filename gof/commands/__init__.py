@@ -38,7 +38,7 @@ class Command:
 
 
 def no_such(kind: str, name: str, known: Iterable[str]) -> str:
-    """Return what to say of a word that names no command or part: the nearest one that there is, and all."""
+    """Return the message on a word that names no command or part: the nearest one that there is, and all."""
     near = get_close_matches(name.lower(), known := list(known), n=1)
     return f"no {kind} '{name}'{f', did you mean {near[0]}? There are' if near else '; there are'}: {', '.join(known)}"
 

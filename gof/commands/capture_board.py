@@ -115,7 +115,7 @@ def pattern(light: str) -> tuple[Literal["all_off", "all_on", "one"], int]:
 
 
 def judge(status: Status) -> list[str]:
-    """Return what about a board's own figures a person should look at."""
+    """Return warnings about a board's own figures."""
     found = []
     worst = max(abs(status.earliest_ns), abs(status.latest_ns)) / 1000
     if status.ticks and worst > MOST_JITTER_US:

@@ -165,7 +165,7 @@ def row_time(config: SyncConfig) -> tuple[Sensor | None, float | None]:
 
 
 def layout_and_codec(asked: str | None) -> tuple[Layout, Codec] | None:
-    """Return what --write-videos says. Raises GofError: no such layout, or codec."""
+    """Return the layout and codec by --write-videos. Raises GofError: no such layout, or codec."""
     if asked is None:
         return None
     layout, _, codec = asked.partition(":")

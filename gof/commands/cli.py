@@ -260,7 +260,7 @@ def run(name: str, argv: list[str]) -> int:
 
 
 def _words_on_memory(error: BaseException | None) -> str | None:
-    """Return what an error says of memory, or one that it was raised on: a library that cannot be loaded breaks
+    """Return the words on memory of an error, or of one that it was raised on: a library that cannot be loaded breaks
     others."""
     while error is not None:
         library = isinstance(error, ImportError) and "temporarily unavailable" in str(error)  # as dlopen says it

@@ -12,13 +12,6 @@ from gof.commands import everywhere
 from gof.commands.declared import config_of, options_of
 from gof.commands.read import read_options
 
-GROUPS = {  # of commands with parts: the table of these
-    "benchmark": "PARTS",
-    "capture": "PARTS",
-    "figure": "PARTS",
-    "study": "STUDIES",
-}
-
 
 @dataclass
 class CompletionConfig:
@@ -47,10 +40,8 @@ def parts_of(name: str) -> dict[str, str]:
     """Parts of a command, each with its module; none for a command without parts."""
     from gof.commands.cli import commands
 
-    if name not in GROUPS:
-        return {}
-    table = getattr(importlib.import_module(commands()[name].module), GROUPS[name])
-    return {part: entry[0] if isinstance(entry, tuple) else entry.module for part, entry in table.items()}
+    table = getattr(importlib.import_module(commands()[name].module), "PARTS", {})
+    return {part: module for part, (module, _) in table.items()}
 
 
 def leaves() -> dict[str, str]:
@@ -67,7 +58,7 @@ def leaves() -> dict[str, str]:
 
 
 def words() -> dict[str, list[str]]:
-    """Return what can follow `gof` and the words of a command: commands, parts, or options and their values."""
+    """Return the words that can follow `gof` and a command's words: commands, parts, or options and their values."""
     from gof.commands.cli import commands
 
     always = [option.split()[0] for option in everywhere.OPTIONS] + ["--help", "--help-all"]

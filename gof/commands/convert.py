@@ -71,7 +71,7 @@ class ConvertConfig:
     """The dataset into whose world --align moves the result; its cameras have the same names."""
 
     def foreign(self) -> ImportOptions:
-        """Return what the options say of the result. Raises GofError: see `ImportOptions`."""
+        """Return the options' statements on the result. Raises GofError: see `ImportOptions`."""
         times = self.time_unit, self.time_zero, self.frame_time
         return ImportOptions(*times, self.world, self.world_by, self.code_date, self.flame_only)
 

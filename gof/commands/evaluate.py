@@ -262,7 +262,7 @@ def around_table(scores: Scores) -> Table:
 
 
 def _counted(scores: Scores, key: str) -> str:
-    """Return how many pictures a mean is of, where not all have the figure: of a flame where there is none, say."""
+    """Return the number of pictures of a mean, where not all have the figure: of a flame where there is none, say."""
     pictures = scores.images.pictures if scores.images else ()
     count = sum(getattr(picture, key, None) is not None for picture in pictures)
     return f", {count} of {len(pictures)} pictures" if 0 < count < len(pictures) else ""

@@ -2,10 +2,7 @@
 
 from __future__ import annotations
 
-import importlib
-import sys
-
-from gof.commands import HELP_WORDS, no_such
+from gof.commands.parts import run_part
 
 PARTS = {
     "modalities": (
@@ -37,10 +34,4 @@ With --json FILE every part writes what its tiles show. Films and single panels:
 
 def main(argv: list[str]) -> int:
     """Make one figure."""
-    if not argv or argv[0] in HELP_WORDS:
-        print(HELP.format(parts="\n".join(f"  {name:<11} {text}" for name, (_, text) in PARTS.items())))
-        return 0
-    if argv[0] not in PARTS:
-        print(f"gof figure: {no_such('part', argv[0], PARTS)}", file=sys.stderr)
-        return 2
-    return importlib.import_module(PARTS[argv[0]][0]).main(argv[1:]) or 0
+    return run_part("figure", PARTS, HELP, argv)

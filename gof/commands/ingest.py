@@ -21,7 +21,7 @@ from gof.footage.lens import Turn
 from gof.footage.videos import require_different, stated_fps
 from gof.host.options import require_all_positive, require_number, require_positive
 from gof.ingest.accelerometer import read_tilt
-from gof.ingest.evidence import PoseOptions, Rig, Solver
+from gof.ingest.evidence import KnownRig, PoseOptions, Solver
 from gof.ingest.fire_free import PlateKind, PlateOptions
 from gof.ingest.footage import Footage
 from gof.ingest.frame_times import Timing
@@ -107,13 +107,13 @@ class IngestConfig:
     """Use only so many frames."""
 
     def timing(self) -> Timing:
-        """Return what --times says, and the frames to use. Raises GofError: it is neither a file, nor rates, nor
+        """Return the times by --times, and the frames to use. Raises GofError: it is neither a file, nor rates, nor
         "stamps"."""
         times, rates, stamps = read_times(self.times)
         return Timing(times, rates, stamps, self.start, self.frames)
 
     def plate_options(self) -> PlateOptions:
-        """Return what --plates says. Raises GofError: a number of frames that is none."""
+        """Return the plates' source by --plates. Raises GofError: a number of frames that is none."""
         kind, colon, frames = self.plates.partition(":")
         if kind not in get_args(PlateKind):
             return PlateOptions(folder=Path(self.plates))
@@ -173,7 +173,7 @@ def ingest(config: IngestConfig) -> Ingested:
         marker_m=None if config.marker_mm is None else config.marker_mm / 1000,
         baseline_m=config.baseline_m,
         flame_height_m=config.flame_height_m,
-        rig=Rig.read(config.rig, footage.upright_lenses) if config.rig else None,
+        rig=KnownRig.read(config.rig, footage.upright_lenses) if config.rig else None,
         up=config.up,
         tilts=tuple(read_tilt(v, footage.turn) for v in footage.videos) if config.up in TAGGED else (),
     )
@@ -261,7 +261,7 @@ def open_footage(config: IngestConfig) -> Footage:
 
 
 def up_in_words(up: UpReport) -> str:
-    """Return how Z is known, for people."""
+    """Return the source of Z, for people."""
     if up.source == "cameras":
         return "up: the cameras' mean up, as true as they are level; no other sign of the vertical (see --up)"
     source = {
@@ -275,7 +275,7 @@ def up_in_words(up: UpReport) -> str:
 
 
 def fire_left_in_words(left: dict[str, float], by_clip: dict[str, float] | None = None) -> str:
-    """Return how clean the plates are, and how they would be from the clip's own frames, for people."""
+    """Return the cleanness of the plates, and of ones from the clip's own frames, for people."""
     was = {name: f" (from the clip alone {share:.1%})" for name, share in (by_clip or {}).items()}
     each = (f"{name} {share:.1%}{was.get(name, '')}" for name, share in left.items())
     words = f"fire left in the plates: {', '.join(each)}"

@@ -66,7 +66,7 @@ Results = tyro.conf.Positional[Annotated[tuple[str, ...], tyro.conf.arg(metavar=
 
 
 def named(words: Sequence[str]) -> list[tuple[str | None, Path]]:
-    """Return what people call each result, None for the name of its folder or file, and where it is.
+    """Return the given name of each result, None for that of its folder or file, and its path.
 
     Raises:
         GofError: there is no result.

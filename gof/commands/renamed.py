@@ -250,7 +250,7 @@ def renamed(command: str, argv: list[str]) -> list[str]:
 def _with_todays_words(
     command: str, option: str, known: dict[str, str], words: list[str], rest: list[str]
 ) -> tuple[list[str], list[str]]:
-    """Return what is left, and the words up to an option and its values, of which old ones are replaced."""
+    """Return the words that are left, and those up to an option and its values, with old ones replaced."""
     _, equals, value = words[-1].partition("=")
     values = [value] if equals else _values(rest, None)
     for old in values:

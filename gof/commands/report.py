@@ -97,6 +97,6 @@ def _result_in(out: Path) -> Path:
 
 
 def _stages(folders: list[Path]) -> list[StageCost]:
-    """Return what the costs.json of the folders say, each folder once."""
+    """Return the content of the folders' costs.json, each folder once."""
     once = dict.fromkeys(folder.resolve() for folder in folders)
     return [stage for folder in once for stage in StageLog(folder / "costs.json").stages()]

@@ -213,7 +213,7 @@ def _says(value: Any) -> bool:
 
 
 def names_by_pictures(pictures: Sequence[str]) -> list[str]:
-    """Return what cameras are called by the names of their pictures.
+    """Return the names of cameras by the names of their pictures.
 
     `cam_0.png` and `cam_0/000001.png` are of camera `cam_0`, and so is `static/cam_0.png` where all pictures lie in one
     folder. Folders may be written with backslashes.

@@ -116,7 +116,7 @@ def _images_of(folder: Path) -> list[Image]:
 
 
 def _read(folder: Path, what: str, of_bytes: Callable[[bytes], list], of_lines: Callable[[list[Line]], list]) -> list:
-    """Return what the model's images, cameras or points are."""
+    """Return the model's images, cameras or points."""
     binary = (folder / "images.bin").is_file()
     path = folder / f"{what}.{'bin' if binary else 'txt'}"
     try:

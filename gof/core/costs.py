@@ -50,7 +50,7 @@ class StageLog:
         self._counted = time.perf_counter()  # until when `wall_s` counts this run
 
     def costs(self) -> Costs:
-        """Return what is in the file; nothing before the first stage. Raises DataFormatError: not a `gof-costs`
+        """Return the stages in the file; none before the first stage. Raises DataFormatError: not a `gof-costs`
         record."""
         return read_record(Costs, self.path) if self.path.exists() else Costs()
 

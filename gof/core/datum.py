@@ -68,7 +68,7 @@ MOST = 0.01  # of the least difference that matters
 
 
 def rounded_off(values: np.ndarray) -> float:
-    """Return how far apart neighbouring float32 numbers are at the largest of some values, in their unit."""
+    """Return the distance between neighbouring float32 numbers at the largest of some values, in their unit."""
     largest = np.abs(np.asarray(values, np.float64)).max(initial=0.0)
     return float(np.spacing(np.float32(min(largest, 1e38))))
 

@@ -139,7 +139,7 @@ class DatasetDescription:
 
     @property
     def datum(self) -> Datum:
-        """Return what whoever computes in float32 measures places and times from; zeros where the dataset lies near
+        """Return the datum for whoever computes in float32, for places and times; zeros where the dataset lies near
         zero."""
         centres = [camera.position for camera in self.cameras_from(Datum(), "train")]
         return Datum.of(np.array(centres), np.array(self.time_s))
@@ -227,7 +227,7 @@ class DatasetDescription:
 
 
 def _as_file_system(name: str) -> str:
-    """Return what is the same for two names of one file on systems that mind neither case nor the form of letters."""
+    """Return a key, equal for names of one file on systems that mind neither case nor the form of letters."""
     return unicodedata.normalize("NFC", name).casefold()
 
 

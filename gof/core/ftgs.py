@@ -150,7 +150,7 @@ def save(gaussians: TransientGaussians, path: Path, start_s: float, end_s: float
 
 
 def losses(gaussians: TransientGaussians, start_s: float, end_s: float) -> list[str]:
-    """Return what the format cannot hold, in words; args as `save`."""
+    """Return the losses in this format, in words; args as `save`."""
     short = gaussians.dynamic & (gaussians.t_sigma < MIN_DURATION * (end_s - start_s))
     notes = [f"its times 0..1 are {start_s:g}..{end_s:g} s of the dataset clock (comment {CLIP})"]
     if gaussians.gas_velocity is not None:

@@ -76,7 +76,7 @@ def frame_of(path: Path) -> tuple[str, int, str] | None:
 
 
 def missing_numbers(numbers: list[int]) -> tuple[int, str]:
-    """Return how many numbers of an even step are missing between the first and the last, and which, in words.
+    """Return the count of numbers of an even step missing between the first and the last, and which, in words.
 
     Args:
         numbers: increasing. Their step is the largest that all of them fit.

@@ -100,7 +100,7 @@ class Ply:
 
 
 def name_kind(names: Collection[str]) -> str | None:
-    """Return what a PLY with these properties is where it is none of 3D Gaussians in full, and the way out; else
+    """Return the kind of a PLY with these properties that holds no 3D Gaussians in full, and the way out; else
     None."""
     has = set(names).issuperset
     if has(("packed_position", "packed_scale")):

@@ -53,7 +53,7 @@ class Element:
         return np.dtype([(p.name, order + (p.count or p.type)) for p in self.properties])
 
     def numbers(self) -> np.dtype:
-        """Return what of a row is kept."""
+        """Return the type of a row's numbers that are kept."""
         return np.dtype([(p.name, p.type) for p in self.properties if not p.count])
 
 

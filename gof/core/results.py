@@ -120,7 +120,7 @@ def _load_npz(path: Path, step: int) -> tuple[Arrays, Datum | None]:
 
 
 def _velocity_sd(arrays: Arrays) -> Arrays:
-    """Return what both files say of it: nothing where nothing is known."""
+    """Return both files' statements on it: none where nothing is known."""
     return {"v_sd": arrays["velocity_sd"]} if np.isfinite(arrays["velocity_sd"]).any() else {}
 
 

@@ -149,7 +149,7 @@ class Trajectory:
         )
 
     def difference_change(self) -> float:
-        """Return how much velocities change (relative L2) when differences span twice the step.
+        """Return the change of velocities (relative L2) when differences span twice the step.
 
         That is three times their own error where motion is smooth. Where it has kinks, as that of networks with ReLU or
         of planes interpolated in time, the error falls with the root of the step only, and is as large as the change.

@@ -140,7 +140,7 @@ class ZarrArray:
                 self.file_of(number).write_bytes(self.packed(here, part))
 
     def packed(self, here: tuple[slice, ...], part: np.ndarray) -> bytes:
-        """Return what the file of a chunk holds that is zero but for the part `here`."""
+        """Return the bytes of a chunk's file that is zero but for the part `here`."""
         whole = np.zeros(self.chunks, self.dtype)  # those at the upper border are of full size too
         whole[here] = part
         return gzip.compress(whole.tobytes(), self.level, mtime=0)
@@ -165,7 +165,7 @@ class ZarrArray:
         return product(*(range(l // c, -(-h // c)) for l, h, c in zip(low, high, self.chunks, strict=True)))
 
     def _overlap(self, number: tuple[int, ...], low: list[int], high: list[int]) -> tuple[tuple, tuple]:
-        """Return what of a chunk lies in a box: slices of the chunk, and of the box."""
+        """Return the part of a chunk in a box: slices of the chunk, and of the box."""
         here, there = [], []
         for n, c, l, h in zip(number, self.chunks, low, high, strict=True):
             first, last = max(n * c, l), min((n + 1) * c, h)

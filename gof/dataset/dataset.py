@@ -74,7 +74,7 @@ class Dataset:
 
     @cached_property
     def datum(self) -> Datum:
-        """Return what places and times are measured from; zeros unless float32 would round them as they are."""
+        """Return the datum of places and times; zeros unless float32 would round them as they are."""
         return self.description.datum
 
     @property

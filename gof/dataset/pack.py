@@ -289,7 +289,7 @@ def card(dataset: Dataset, licence: str, authors: tuple[str, ...], total: int) -
 
 
 def description_lines(dataset: Dataset, total: int) -> dict[str, str]:
-    """Return what a reader wants to know first."""
+    """Return the facts that a reader wants first."""
     about = dataset.description
     sizes = sorted({f"{entry.width}x{entry.height}" for entry in about.cameras})
     roles = [entry.role for entry in about.cameras]

@@ -74,7 +74,7 @@ def _autocovariance(history: np.ndarray) -> np.ndarray:
 
 
 def _expected_autocovariance(count: int, eddy_frames: float) -> np.ndarray:
-    """Return what `_autocovariance` gives on average for a series with correlation exp(-lag / eddy_frames)."""
+    """Return the mean of `_autocovariance` for a series with correlation exp(-lag / eddy_frames)."""
     taken = np.eye(count) - 1 / count
     rest = taken @ toeplitz(np.exp(-np.arange(count) / eddy_frames)) @ taken
     return np.array([np.diagonal(rest, lag).mean() for lag in range(count)])

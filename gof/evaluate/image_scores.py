@@ -141,7 +141,7 @@ def image_scores(
 
 
 def _metrics(extras: Extras) -> Metrics:
-    """Return what can be computed here."""
+    """Return the image scores that can be computed here, and why others are absent."""
     metrics = Metrics({"psnr": psnr, "ssim": ssim}, [])
     optional: dict[str, Metric] = {"flip": flip}
     weights = extras.weights

@@ -205,7 +205,7 @@ class Leaderboard:
 
 
 def about(folder: Path) -> AboutMethod:
-    """Return what the authors say of a method: beside its scores, or, of a scene of a submission, one folder up."""
+    """Return the authors' description of a method: beside its scores, or, of a scene of a submission, one folder up."""
     has_own = (folder / "method.json").is_file()
     return AboutMethod.read(folder if has_own else folder.resolve().parent)
 

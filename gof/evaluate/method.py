@@ -57,7 +57,7 @@ class AboutMethod:
                 raise DataFormatError(f"{field}: {number} is no number of {unit}")
 
     def title(self, folder: Path) -> str:
-        """Return what the row is called.
+        """Return the name of the row.
 
         Raises:
             DataFormatError: as a trivial baseline is, or with invisible characters, which turn or hide others.
@@ -78,7 +78,7 @@ class AboutMethod:
         return (*found, f"knew before: {', '.join(self.prior)}") if self.prior else tuple(found)
 
     def missing(self) -> list[str]:
-        """Return what a submission must still say."""
+        """Return the names of the fields that a submission must still fill in."""
         return [name for name in ASKED if getattr(self, name) in (None, ())] + ["prior"] * (self.prior is None)
 
     @classmethod

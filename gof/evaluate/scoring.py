@@ -194,7 +194,7 @@ def _load(
 
 
 def _leak_warnings(made_from: MadeFrom | None, held_out: list[int]) -> list[str]:
-    """Return what a result learned from that is held out here, in words."""
+    """Return a warning where a result learned from frames that are held out here."""
     found = leaks(made_from.files if made_from else {}, held_out).values()
     frames = sorted({frame for frames in found for frame in frames})
     said = f"it was made from frames {frames}, which are held out here: its scores are not those of unseen frames"

@@ -225,7 +225,7 @@ def check(
 
 
 def score_again(run: Run, dataset: Dataset) -> Scores:
-    """Return what a run scores, computed from its files: read and drawn as its scores.json says, scored as everybody's
+    """Return a run's scores, computed from its files: read and drawn as its scores.json says, scored as everybody's
     is."""
     scored = {"order": ORDER, "opacity": OPACITY}
     return evaluate(run.result, dataset, foreign=run.options, flame_only=run.scores.import_.over_plates, **scored)

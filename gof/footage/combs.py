@@ -44,7 +44,7 @@ def find_combs(pairs: Iterable[tuple[np.ndarray, np.ndarray]]) -> Combs:
 
 
 def _combs(before: np.ndarray, after: np.ndarray) -> tuple[int, int]:
-    """Return how many pixels moved, and how many of them lie in combs of lines (axis 0)."""
+    """Return the number of pixels that moved, and of those among them in combs of lines (axis 0)."""
     every = -(-after.shape[1] // MOST_LINES)
     first, then = (picture[:, ::every, 1].astype(np.int16) for picture in (before, after))
     moved = np.abs(then - first) > STANDS_OUT

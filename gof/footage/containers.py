@@ -233,7 +233,7 @@ MOST_HEADER = 1 << 28  # bytes of a file's table of contents; hours of footage h
 
 
 def read_header(file: BinaryIO) -> bytes:
-    """Return what the file's `moov` box holds; empty where there is none, as in a file that is no MP4.
+    """Return the content of the file's `moov` box; empty where there is none, as in a file that is no MP4.
 
     Raises:
         ValueError: it claims more than `MOST_HEADER` bytes.

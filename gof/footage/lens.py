@@ -140,7 +140,7 @@ def prepare(picture: np.ndarray, lens: Lens, turn: Turn) -> np.ndarray:
 
 
 def preparation(lens: Lens, turn: Turn) -> Callable[[np.ndarray], np.ndarray]:
-    """Return what `prepare` does, for many pictures: the undistortion's maps are made once."""
+    """Return `prepare` as a function for many pictures: the undistortion's maps are made once."""
     if not lens.distortion.any():
         return partial(turned, turn=turn)
     return straightening(lens.K, lens.distortion, lens, turn, half_pixel=0.5)

@@ -295,7 +295,7 @@ def require_different(paths: Iterable[Path]) -> None:
 
 
 def stated_info(path: Path) -> VideoInfo:
-    """Return what the container states, without reading more than one frame.
+    """Return the container's statements, without reading more than one frame.
 
     Raises:
         DataFormatError: not a readable video, an empty folder, a broken picture.
@@ -353,7 +353,7 @@ def _rotation(files: list[Path]) -> int:
 
 
 def _description(path: Path) -> bytes:
-    """Return what the container hands to the video's decoder; empty where OpenCV does not tell."""
+    """Return the bytes that the container hands to the video's decoder; empty where OpenCV does not tell."""
     import cv2
 
     video = cv2.VideoCapture(str(path), cv2.CAP_FFMPEG, [cv2.CAP_PROP_FORMAT, -1])
@@ -377,7 +377,7 @@ def _bits(pixel_format: float | None) -> int | None:
 
 
 def read_info(path: Path, progress: Callable[[int, int], None] | None = None) -> VideoInfo:
-    """Return what the container states, and the stamps of all frames that can really be read (containers lie).
+    """Return the container's statements, and the stamps of all frames that can really be read (containers lie).
 
     Args:
         progress: called with frames read and stated.
@@ -418,7 +418,7 @@ def read_info(path: Path, progress: Callable[[int, int], None] | None = None) ->
 
 
 def stated_frames(path: Path) -> int | None:
-    """Return how many frames a folder holds or a video's container states (for progress bars); None when it states
+    """Return the number of frames in a folder, or by a video's container (for progress bars); None when it states
     none."""
     return len(loose_pictures(path)) if Path(path).is_dir() else stated_info(path).stated_frames
 

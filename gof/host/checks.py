@@ -235,7 +235,7 @@ def child(*words: str) -> subprocess.CompletedProcess:
 
 
 def named_error(text: str) -> str | None:
-    """Return what a `GofError` that ended a child has said."""
+    """Return the message of the `GofError` that ended a child."""
     found = re.match(r"gof\.core\.errors\.\w+: (.*)", last_line(text))
     return found and found[1]
 

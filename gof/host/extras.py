@@ -14,7 +14,7 @@ WITH = {"blender": " with Python 3.11"}  # bpy 4.5 exists for no other
 
 
 def command(extra: str) -> str:
-    """Return what a user types to get an extra; in the quotes that Windows' command line knows too."""
+    """Return the command that installs an extra; in the quotes that Windows' command line knows too."""
     return f'pip install "gaussians-on-fire[{extra}]"' + WITH.get(extra, "")
 
 

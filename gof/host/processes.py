@@ -60,7 +60,7 @@ def end(child: subprocess.Popen) -> None:
 
 
 def _die_with(parent: int):
-    """Return what a child does before its program begins: ask the kernel for its death, unless the parent is dead
+    """Return the function that a child runs before its program: ask the kernel for its death, unless the parent is dead
     already."""
     library = ctypes.CDLL(None)  # loaded before the fork; after it only calls are safe
 

@@ -69,7 +69,7 @@ def run_worker(argv: list[str], title: str, log: Path | None = None) -> StageCos
 
 
 def _progress_of(line: str) -> dict[str, Any] | None:
-    """Return what a progress line says; None for any other line."""
+    """Return the progress that a line states; None for any other line."""
     if not line.startswith('{"progress"'):
         return None
     try:

@@ -117,7 +117,7 @@ def _pnp(camera: int, points: list[MarkedPoint], lens: Lens, name: str) -> list[
 
 
 def _agreement(features: Features, lenses: list[Lens], poses: np.ndarray) -> float:
-    """Return how well raw matches fit: mean of exp(-error / AGREEMENT_PX), 0 without matches."""
+    """Return the fit of raw matches: mean of exp(-error / AGREEMENT_PX), 0 without matches."""
     fits = [
         np.exp(-epipolar_distance(lenses, poses, i, j, *features.pair(i, j)) / AGREEMENT_PX)
         for (i, j), m in features.matches.items()

@@ -22,7 +22,7 @@ TURN_OF_TAG: dict[int, Turn] = {0: "none", 90: "clockwise", 180: "half", 270: "c
 
 
 def turn_by_tags(videos: list[VideoInfo], asked: Turn | Literal["auto"]) -> Turn:
-    """Return how to turn the stored pictures upright: as asked, or as the files' rotation tags say ("auto").
+    """Return the turn that sets the stored pictures upright: as asked, or as the files' rotation tags say ("auto").
 
     Raises:
         GofError: the tags differ and nothing else is asked.
@@ -79,7 +79,7 @@ def require_one_film_each(paths: list[Path]) -> None:
 
 
 def _part_notes(videos: list[VideoInfo]) -> list[str]:
-    """Return what the names of GoPros' files say: a part that is not the first, or that goes on in another file."""
+    """Return a warning by the names of GoPros' files: a part that is not the first, or that goes on in another file."""
     notes = []
     for video in videos:
         part = part_of(video.path)
@@ -97,7 +97,7 @@ def _part_notes(videos: list[VideoInfo]) -> list[str]:
 
 
 def _clock_notes(videos: list[VideoInfo]) -> list[str]:
-    """Return what the files say of when they began, where they differ."""
+    """Return the times at which the files began, by their own statement, where they differ."""
     notes = []
     starts = [video.start_s for video in videos]
     steps = [video.usual_step_s for video in videos if video.usual_step_s]
@@ -194,7 +194,7 @@ def require_one_beginning(videos: list[VideoInfo]) -> None:
 
 
 def number_notes(videos: list[VideoInfo]) -> list[str]:
-    """Return what the numbers of pictures say of their clock, where it is not one after the other."""
+    """Return a note on the clock by the numbers of pictures, where these do not follow each other."""
     notes = []
     for video in videos:
         numbers = list(video.numbers or ())
@@ -209,7 +209,7 @@ def number_notes(videos: list[VideoInfo]) -> list[str]:
 
 
 def other_notes(videos: list[VideoInfo], one_fov: bool) -> list[str]:
-    """Return what is no error and yet worth saying: more than 8 bits, other sizes, pixels, parts or clocks."""
+    """Return notes on things that are no errors: more than 8 bits, other sizes, pixels, parts or clocks."""
     notes = [
         f"{video.path.name}: {video.bits} bits per channel are read as 8; if it is HDR (HLG or PQ), convert it to SDR "
         "first, or colours are not what was seen"

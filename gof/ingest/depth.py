@@ -48,7 +48,7 @@ def monocular(picture: np.ndarray, weights: Path) -> np.ndarray:
 
 @cache
 def _network(weights: Path) -> tuple[Any, Any]:
-    """Return what prepares pictures for the network, and the network."""
+    """Return the network's preparation of pictures, and the network."""
     extras.load("torch", "torch", "monocular depth")  # transformers would name it in words of its own
     try:
         from transformers import AutoImageProcessor, AutoModelForDepthEstimation

@@ -57,7 +57,7 @@ class PoseOptions:
     marker_m: float | None = None
     baseline_m: float | None = None
     flame_height_m: float | None = None
-    rig: Rig | None = None
+    rig: KnownRig | None = None
     up: UpChoice = "auto"
     tilts: tuple[Tilt, ...] = ()
 
@@ -88,7 +88,7 @@ class PoseOptions:
 
 
 @dataclass(frozen=True)
-class Rig:
+class KnownRig:
     """Cameras whose poses are known from another clip of the same rig.
 
     Attributes:
@@ -103,7 +103,7 @@ class Rig:
     plates: list[np.ndarray]
 
     @classmethod
-    def read(cls, folder: Path, lenses: list[Lens]) -> Rig:
+    def read(cls, folder: Path, lenses: list[Lens]) -> KnownRig:
         """Read that of a dataset that `gof ingest` made, for cameras with these lenses.
 
         Raises:
@@ -158,7 +158,7 @@ def require_still(
     plates: list[np.ndarray],
     masks: list[np.ndarray] | None = None,
 ) -> dict[str, float]:
-    """Return how far each camera's still picture moved between two clips: median in px of the clip's pictures.
+    """Return each camera's shift of the still picture between two clips: median in px of the clip's pictures.
 
     Args:
         other: name of the other clip.   plates: its pictures.   masks: where features may be in them.

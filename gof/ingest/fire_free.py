@@ -10,7 +10,7 @@ import numpy as np
 
 from gof.core.errors import GofError
 from gof.ingest import plates
-from gof.ingest.footage import Clip, Footage
+from gof.ingest.footage import Footage, PreparedClip
 from gof.ingest.over_time import MEDIAN_PASSES, darkest
 
 PlateKind = Literal["steady", "minimum"]
@@ -40,7 +40,7 @@ class PlateOptions:
 
     @property
     def source(self) -> str:
-        """Return what the dataset says of them."""
+        """Return the dataset's notes on them."""
         return "given" if self.folder else self.kind
 
     @property
@@ -81,7 +81,7 @@ def around(used: np.ndarray, frames: int, count: int) -> np.ndarray:
     return np.r_[first - before : first, last + 1 : last + 1 + behind]
 
 
-def outside(footage: Footage, used: list[np.ndarray], options: PlateOptions) -> list[Clip]:
+def outside(footage: Footage, used: list[np.ndarray], options: PlateOptions) -> list[PreparedClip]:
     """Per camera the frames outside the clip that its plate may use; none unless `options.frames` asks for them.
 
     Raises:
@@ -102,7 +102,11 @@ def outside(footage: Footage, used: list[np.ndarray], options: PlateOptions) -> 
 
 
 def make_plates(
-    footage: Footage, clips: list[Clip], beyond: list[Clip], elsewhere: list[list[np.ndarray]], options: PlateOptions
+    footage: Footage,
+    clips: list[PreparedClip],
+    beyond: list[PreparedClip],
+    elsewhere: list[list[np.ndarray]],
+    options: PlateOptions,
 ) -> FireFree:
     """Plates of all cameras.
 

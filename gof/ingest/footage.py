@@ -26,7 +26,7 @@ from gof.ingest.place import Placed, place_cameras
 
 
 @dataclass(frozen=True)
-class Clip(Collection[np.ndarray]):
+class PreparedClip(Collection[np.ndarray]):
     """Frames of one camera, prepared; every pass over it reads the footage again, so that it takes no memory.
 
     Attributes:
@@ -61,7 +61,7 @@ class Clip(Collection[np.ndarray]):
             yield self.prepared(picture)
             self.watch()
 
-    def only(self, places: Iterable[int]) -> Clip:
+    def only(self, places: Iterable[int]) -> PreparedClip:
         """Return its frames at these places."""
         return replace(self, frames=tuple(self.frames[k] for k in places))
 
@@ -139,7 +139,7 @@ class Footage:
                 )
         return replace(self, videos=tuple(videos), infos=tuple(infos))
 
-    def all_clips(self) -> list[Clip]:
+    def all_clips(self) -> list[PreparedClip]:
         """Return every frame, whatever its time: enough for what stands still."""
         return self.clips([np.arange(count) for count in self.frame_counts])
 
@@ -150,7 +150,7 @@ class Footage:
 
     @property
     def names(self) -> list[str]:
-        """Return what the dataset calls the cameras."""
+        """Return the cameras' names in the dataset."""
         return [f"cam_{c}" for c in range(len(self.videos))]
 
     @property
@@ -179,23 +179,23 @@ class Footage:
 
     @property
     def provenance(self) -> dict[str, Any]:
-        """Return what else the dataset says of where it is from."""
+        """Return the dataset's further notes on its origin."""
         return {"videos": [_described(info) for info in self.infos], "turn": self.turn}
 
     def preparation(self, camera: int) -> Callable[[np.ndarray], np.ndarray]:
         """Return the function that makes a camera's stored pictures (H, W[, 3]) uint8 undistorted and upright."""
         return preparation(self.lenses[camera], self.turn)
 
-    def clips(self, frames: list[np.ndarray]) -> list[Clip]:
+    def clips(self, frames: list[np.ndarray]) -> list[PreparedClip]:
         """Return the prepared pictures of these frame numbers, per camera."""
         return [
-            Clip(video, (lens.width, lens.height), tuple(map(int, wanted)), self.preparation(c))
+            PreparedClip(video, (lens.width, lens.height), tuple(map(int, wanted)), self.preparation(c))
             for c, (video, lens, wanted) in enumerate(zip(self.videos, self.lenses, frames, strict=True))
         ]
 
 
 def _read(video: Path) -> VideoInfo:
-    """Return what its file says, under a progress bar: it is read to its end."""
+    """Return the statements of its file, read to its end under a progress bar."""
     with progress_bar(f"read {video.name}") as update:
         return read_info(video, update)
 
@@ -260,7 +260,7 @@ def resized(picture: np.ndarray, camera: Camera) -> np.ndarray:
     return picture if picture.shape[1::-1] == size else cv2.resize(picture, size, interpolation=cv2.INTER_AREA)
 
 
-def write_pictures(out: Path, view: StoredView, clip: Clip) -> None:
+def write_pictures(out: Path, view: StoredView, clip: PreparedClip) -> None:
     """Write a camera's plate, its clip, and where fire is in it: an estimate, as no truth exists."""
     write_picture(path_in(out, view.static), view.plate)
     plate = view.plate.astype(np.float32) / 255
@@ -279,7 +279,7 @@ def write_picture(path: Path, picture: np.ndarray) -> None:
 def camera_entries(
     footage: Footage, times: FrameTimes, stored: list[StoredView], boards: list[np.ndarray | None]
 ) -> tuple[CameraEntry, ...]:
-    """Return what dataset.json says of the cameras."""
+    """Return the cameras' entries in dataset.json."""
     return tuple(
         CameraEntry.of(
             view.camera,

@@ -277,6 +277,6 @@ def _entries(
 
 
 def _readout_s(times: VideoTimes) -> float:
-    """Return how long a picture is read, from its first to its last line."""
+    """Return the time that a picture is read in, from its first to its last line."""
     lines = times.width if times.readout in ("left", "right") else times.height
     return times.row_time_us * 1e-6 * (lines - 1)

@@ -128,7 +128,7 @@ def _first_frame(
 def _notes(
     names: list[str], clocks: list[np.ndarray], steps: list[float], frames: list[np.ndarray], slowest: int
 ) -> list[str]:
-    """Return what is not plain one frame of each after the other."""
+    """Return notes where pairs are not plainly one frame of each after the other."""
     notes = []
     if max(steps) > (1 + SAME_RATE) * min(steps):
         rates = ", ".join(f"{name} {1 / step:.4g}" for name, step in zip(names, steps, strict=True))

@@ -20,8 +20,8 @@ from gof.ingest.alone import place_alone
 from gof.ingest.evidence import Evidence, PoseOptions
 from gof.ingest.fire_free import PlateOptions, make_plates, outside
 from gof.ingest.footage import (
-    Clip,
     Footage,
+    PreparedClip,
     StoredView,
     camera_entries,
     resized,
@@ -199,7 +199,7 @@ def _make(
 
 
 @contextmanager
-def watched(title: str, clips: list[Clip], passes: list[int] | None = None) -> Iterator[list[Clip]]:
+def watched(title: str, clips: list[PreparedClip], passes: list[int] | None = None) -> Iterator[list[PreparedClip]]:
     """Provide the clips, with a progress bar over all their frames; each clip is read so many times, once by
     default."""
     total, done = sum(n * len(clip) for n, clip in zip(passes or [1] * len(clips), clips, strict=True)), 0
@@ -222,7 +222,7 @@ def derived_files(stored: list[StoredView], placed: Placed, plates_of_clip: bool
 
 
 def evidence_of(footage: Footage, options: PoseOptions) -> Evidence:
-    """Return what another clip of the rig says of the poses. What stands still needs no times: all frames are used."""
+    """Return evidence of the poses from another clip of the rig. Still things need no times: all frames are used."""
     name = footage.videos[0].parent.name
     everything = footage.all_clips()
     with watched(f"read {name}", everything, [2 + (options.board is not None)] * len(everything)) as clips:

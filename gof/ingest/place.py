@@ -195,7 +195,7 @@ def _objection(together: list[str], weak: list[str], lonely: list[str], check: P
 
 
 def _advice(attempts: list[_Attempt], figures: FeatureFigures, notes: list[str]) -> str:
-    """Return what failed, and what to do about it."""
+    """Return the failure and its remedy, in words."""
     source = {"features": "image features", "points": "known points", "rig": "the other clip's poses"}
     lines = ["camera poses could not be solved:"]
     lines += [f"  from {source[a.method]}: {a.refused}" for a in attempts if a.refused]

@@ -13,7 +13,7 @@ from gof.core.numbered import is_hidden
 from gof.footage.lens import Lens
 from gof.footage.pictures import read_picture, read_rotation
 from gof.footage.videos import read_info
-from gof.ingest.footage import Clip
+from gof.ingest.footage import PreparedClip
 from gof.ingest.over_time import LUMA, median
 
 WARM = 12  # display steps of 255 by which red outgrows blue where fire or its light passed
@@ -135,7 +135,7 @@ def read_plate(path: Path, lens: Lens, rotation_deg: int = 0) -> np.ndarray:
     else:
         info = read_info(path)
         numbers = np.unique(np.linspace(0, info.frames - 1, MOST_LOOKED_AT).astype(int))
-        picture, tag = median(Clip(path, size, tuple(numbers.tolist()), np.asarray)), info.rotation_deg
+        picture, tag = median(PreparedClip(path, size, tuple(numbers.tolist()), np.asarray)), info.rotation_deg
     if tag not in (0, rotation_deg):
         raise DataFormatError(
             f"{path}: by its orientation tag it is turned by {tag} degrees, its camera's footage by {rotation_deg}; "

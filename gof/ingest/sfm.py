@@ -101,7 +101,7 @@ def solve(
         return Solution(None, features, figures)
     points = np.array([p.xyz for p in best.points3D.values()]).reshape(-1, 3)
     model = Model(np.array([poses[file] for file in files]), points)
-    return Solution(model, features, figures, _doubts(pycolmap, best, lenses[0]))
+    return Solution(model, features, figures, _warnings(pycolmap, best, lenses[0]))
 
 
 def pooled(clips: list[Features]) -> Features:
@@ -121,7 +121,7 @@ def pooled(clips: list[Features]) -> Features:
 def shift_between(
     first: np.ndarray, first_mask: np.ndarray, second: np.ndarray, second_mask: np.ndarray | None
 ) -> tuple[float, int]:
-    """Return how far what stands still lies apart in two pictures by one camera: median in px of the first, and of how
+    """Return the distance between still things in two pictures by one camera: median in px of the first, and of how
     many.
 
     Args:
@@ -242,7 +242,7 @@ def _largest_model(pycolmap: ModuleType, work: Path, database: Path) -> Any | No
     return max(models.values(), key=lambda m: (m.num_reg_images(), m.num_points3D()), default=None)
 
 
-def _doubts(pycolmap: ModuleType, model: Any, lens: Lens) -> tuple[str, ...]:
+def _warnings(pycolmap: ModuleType, model: Any, lens: Lens) -> tuple[str, ...]:
     """Return whether the model fits much better if its focal lengths may change. Needs three cameras: two fit any lens.
 
     How much they should change is known roughly only: what a wrong lens did not fit has been left out of the model.

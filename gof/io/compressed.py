@@ -81,7 +81,7 @@ def _clip_to_spz(columns: dict[str, np.ndarray]) -> list[str]:
 
 
 def _steps_of_sog(position: np.ndarray) -> list[str]:
-    """Return how far .sog rounds places: its steps are even in the logarithm of what the scene spans along an axis."""
+    """Return the rounding of places by .sog: its steps are even in the logarithm of the scene's span along an axis."""
     logarithm = np.log1p(np.abs(position)) * np.sign(position)
     step = np.ptp(logarithm, axis=0) / SOG_STEPS * (1 + np.abs(position).max(0))
     return [

@@ -102,7 +102,7 @@ def _save_ftgs(
 
 
 def _measured(gaussians: TransientGaussians) -> list[str]:
-    """Return what a format without a datum leaves out."""
+    """Return a note on what a format without a datum leaves out."""
     if not gaussians.datum:
         return []
     x, y, z, t = gaussians.datum.numbers().tolist()

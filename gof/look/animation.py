@@ -113,7 +113,7 @@ def animate(
 
 
 def original(dataset: Dataset) -> str:
-    """Return what a dataset's own pictures are called."""
+    """Return the name of a dataset's own pictures."""
     return "filmed" if dataset.description.is_filmed else "truth"
 
 

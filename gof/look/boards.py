@@ -88,7 +88,7 @@ def refusal(row: BoardRow) -> str:
 
 
 def marks(row: BoardRow) -> tuple[str, str]:
-    """Return what a method was given beside pictures and what it knew before; empty for trivial baselines, no
+    """Return the input of a method beside pictures, and its prior knowledge; empty for trivial baselines, no
     methods."""
     if row.trivial_baseline:
         return "", ""

@@ -227,7 +227,7 @@ def _plain(name: str, size: ChartSize) -> str:
 
 
 def _tip(*words: str) -> dict[str, Any]:
-    """Return what a mark says, as an argument of matplotlib's."""
+    """Return the text of a mark, as an argument of matplotlib's."""
     return {"gid": TIP + ", ".join(word for word in words if word)}
 
 

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from gof.capture.aligned import Alignment, align
+from gof.capture.aligned import AlignedFrames, align
 from gof.capture.times import FrameTimesFile, SyncedVideo
 from gof.capture.warnings import missing_frames
 from gof.core.files import atomic_path
@@ -26,7 +26,7 @@ FIRE = 60  # red minus blue of a flame
 
 
 @dataclass(frozen=True)
-class Moment:
+class FramesAround:
     """The frames of one camera around one moment.
 
     Attributes:
@@ -70,7 +70,7 @@ def write_report(path: Path, take: FrameTimesFile, charts: Mapping[str, Chart]) 
     return said
 
 
-def verdict(worst: str, sigma_ms: float, speed: float, alignment: Alignment, estimated: list[str]) -> str:
+def verdict(worst: str, sigma_ms: float, speed: float, alignment: AlignedFrames, estimated: list[str]) -> str:
     """Return one sentence: the worst error in ms and in px of motion, and what pairing whole frames adds; and whose
     clock is only estimated."""
     motion = f", in which the flame's fast parts move {_short(sigma_ms * speed)} px" if speed else ""
@@ -103,7 +103,7 @@ def _row(camera: SyncedVideo, sigma_ms: float, speed: float) -> dict[str, str]:
     }
 
 
-def look(camera: SyncedVideo, alignment: Alignment) -> Moment:
+def look(camera: SyncedVideo, alignment: AlignedFrames) -> FramesAround:
     """Read the frames of one camera around the middle of what all cameras filmed, and at other moments its flame's
     speed."""
     chosen = alignment.frames[camera.name]
@@ -120,7 +120,7 @@ def look(camera: SyncedVideo, alignment: Alignment) -> Moment:
     per_frame = [motion(frames[a], frames[b]) for a, b in pairs if a < b]
     speed = max(per_frame, default=0.0) / (1e-3 * camera.times.frame_interval_us)
     after = int(chosen[middle])
-    return Moment(
+    return FramesAround(
         frames[before], frames[after], time_ms[before], time_ms[after], speed, grey.max(0).astype(int) - grey.min(0)
     )
 
@@ -146,7 +146,7 @@ def motion(a: np.ndarray, b: np.ndarray) -> float:
     return float(np.percentile(np.linalg.norm(flow, axis=2)[burns], FAST))
 
 
-def strip(moments: dict[str, Moment]) -> np.ndarray:
+def strip(moments: dict[str, FramesAround]) -> np.ndarray:
     """Return (H, W, 3) uint8 BGR: one row of crops before, one after; each with its camera and time."""
     import cv2
 

@@ -80,7 +80,7 @@ Row = Sequence[Tile | None]  # of a figure; None leaves a place empty
 
 
 def facts(rows: Sequence[Row]) -> dict[str, list]:
-    """Return what a figure's tiles are and what their colours mean, for a JSON file."""
+    """Return a figure's tiles and the meaning of their colours, for a JSON file."""
     return {"tiles": [[tile and _fact(tile) for tile in row] for row in rows]}
 
 

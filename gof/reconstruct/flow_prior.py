@@ -1,4 +1,4 @@
-"""From the motion that is seen to the motion of the gas: a small learned correction of the fused flow, with its doubt.
+"""From the motion that is seen to that of the gas: a small learned correction of the fused flow, with its uncertainty.
 
 Optical flow follows texture. A flame's texture sits in its slow outer layer, the core has none, and the inflow at the
 foot moves nothing that could be seen, so the fused flow is too slow by a factor that changes over the flame and from
@@ -84,7 +84,7 @@ class FlowPrior:
     Attributes:
         mean, deviation: (K,) of the training features.
         velocity: the ensemble; its last layer gives `VECTORS` coefficients.
-        doubt: one network; log of the standard deviation of a component of the velocity, over the pace, learned from
+        uncertainty: one network; log of the standard deviation of a velocity component, over the pace, learned from
             flames that neither pace nor ensemble had been fitted to.
         pace: how fast flames are as a whole.
     """
@@ -92,7 +92,7 @@ class FlowPrior:
     mean: np.ndarray
     deviation: np.ndarray
     velocity: Network
-    doubt: Network
+    uncertainty: Network
     pace: Pace
 
     @classmethod
@@ -112,7 +112,7 @@ class FlowPrior:
                 data["mean"],
                 data["deviation"],
                 _network(data, "velocity"),
-                _network(data, "doubt"),
+                _network(data, "uncertainty" if "uncertainty_layers" in data else "doubt"),
                 Pace(data["pace_metric"], data["pace_unitless"]),
             )
         except KeyError as missing:
@@ -126,7 +126,7 @@ class FlowPrior:
     def save(self, path: Path) -> None:
         """Write plain arrays (no pickle) to `path`."""
         arrays = {}
-        for name, network in (("velocity", self.velocity), ("doubt", self.doubt)):
+        for name, network in (("velocity", self.velocity), ("uncertainty", self.uncertainty)):
             arrays[f"{name}_layers"] = np.array(len(network))
             for i, (weight, bias) in enumerate(network):
                 arrays |= {f"{name}_weight_{i}": weight, f"{name}_bias_{i}": bias}
@@ -153,8 +153,8 @@ class FlowPrior:
         for f, frame in enumerate(field.frames):  # all features of a clip at once would take gigabytes
             velocity, sd = np.zeros(frame.velocity.shape), np.full(len(flame), np.inf)
             for (k, describer), pace in zip(flames.items(), paces, strict=True):
-                gas, doubt = self._gas(describer, pace, f)
-                velocity[flame == k], sd[flame == k] = gas[flame == k], doubt[flame == k]
+                gas, uncertainty = self._gas(describer, pace, f)
+                velocity[flame == k], sd[flame == k] = gas[flame == k], uncertainty[flame == k]
             frames.append(replace(frame, velocity=velocity, velocity_sd=sd))
         return replace(field, frames=tuple(frames))
 
@@ -163,7 +163,7 @@ class FlowPrior:
         features, vectors = describer.describe(f)
         x = (features - self.mean) / self.deviation
         members = np.einsum("mvk,vki->mvi", evaluate_network(self.velocity, x), vectors)
-        sd = pace * np.exp(evaluate_network(self.doubt, x)[0, :, 0])
+        sd = pace * np.exp(evaluate_network(self.uncertainty, x)[0, :, 0])
         velocity = pace * members.mean(0, dtype=np.float64)
         if not (np.isfinite(velocity).all() and np.isfinite(sd).all()):
             raise GofError("the flow prior gave NaN or Inf; are velocity and emission finite?")

@@ -31,19 +31,19 @@ def told_of_gas(gaussians: TransientGaussians, field: FlowField) -> TransientGau
     """
     clip = field.frames[0].time_s, field.frames[-1].time_s
     sigma = np.where(np.isfinite(gaussians.t_sigma), gaussians.t_sigma, 0).astype(np.float64)
-    total, count, doubt = np.zeros((len(gaussians), 3)), np.zeros(len(gaussians)), np.zeros(len(gaussians))
+    total, count, uncertainty = np.zeros((len(gaussians), 3)), np.zeros(len(gaussians)), np.zeros(len(gaussians))
     for time_s in (np.clip(gaussians.t_mu - sigma, *clip), np.clip(gaussians.t_mu + sigma, *clip)):
         way = (time_s - gaussians.t_mu)[:, None] * gaussians.velocity
         velocity, sd = gas_at(field, gaussians.position + way, time_s)
         found = np.isfinite(velocity).all(1)
         total[found] += velocity[found]
-        doubt[found] += sd[found]
+        uncertainty[found] += sd[found]
         count += found
     found, count = gaussians.dynamic & (count > 0), np.maximum(count, 1)
     return replace(
         gaussians,
         gas_velocity=np.where(found[:, None], total / count[:, None], gaussians.moving_gas),
-        velocity_sd=np.where(found, doubt / count, gaussians.velocity_sd),
+        velocity_sd=np.where(found, uncertainty / count, gaussians.velocity_sd),
     )
 
 

@@ -91,7 +91,7 @@ def _require_motion(dataset: Dataset) -> None:
 
 
 def _require_possible(run: stages.Run, anyway: bool) -> None:
-    """Say how long it will take and how much memory, and what is doubtful, before the time is spent.
+    """Say how long it will take and how much memory, and what is wrong or odd, before the time is spent.
 
     Raises GofError: something is impossible, or the memory is not there, and nobody said to go on.
     """
@@ -121,9 +121,9 @@ def _require_possible(run: stages.Run, anyway: bool) -> None:
             "one camera: depth is a guess; the flame is taken to stand over the world's origin, as deep as it is wide",
             file=sys.stderr,
         )
-    found = sanity.doubts(run.dataset)
-    for doubt in found:
-        print(f"warning: {doubt.text}", file=sys.stderr)
+    found = sanity.find_faults(run.dataset)
+    for fault in found:
+        print(f"warning: {fault.text}", file=sys.stderr)
     if not anyway:
         sanity.refuse_impossible(found, run.dataset)
         memory.require(needed)

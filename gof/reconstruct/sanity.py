@@ -27,7 +27,7 @@ LONGEST_SIDE, FRAMES = 160, 8  # of the pictures that are looked at, px, and how
 PLANES, VOXELS, CELL, NEAR = 12, 40, 4, 3  # of the hull: voxels a side, px of a cell, px by which masks are widened
 
 FINEST = 300  # voxels to the flame's box, at the most
-VIEW_DEG = (0.5, 170.0), (3.0, 130.0)  # of a picture: impossible outside the first, doubted outside the second
+VIEW_DEG = (0.5, 170.0), (3.0, 130.0)  # of a picture: impossible outside the first, odd outside the second
 ANGLE_DEG = 0.5, 3.0  # at the flame between the two cameras farthest apart: too little to place it, little
 READOUT = 3.0, 1.05  # of a frame's time, that a picture's lines may take
 COVERED = 0.5, 0.75  # share of a mask that has something standing in front of it
@@ -40,8 +40,8 @@ PLATE = 0.02, 0.5  # display values of difference, and by how much less another 
 
 
 @dataclass(frozen=True)
-class Doubt:
-    """What cannot be, or hardly, in words with figures. stops: nothing can come of it."""
+class Fault:
+    """A thing that cannot be, or hardly, in words with figures. stops: nothing can come of it."""
 
     text: str
     stops: bool
@@ -57,8 +57,8 @@ class _View:
     mask: np.ndarray
 
 
-def doubts(dataset: Dataset) -> list[Doubt]:
-    """What is doubtful about a dataset's cameras, clocks, plates and poses; empty where all agrees.
+def find_faults(dataset: Dataset) -> list[Fault]:
+    """Return the faults of a dataset's cameras, clocks, plates and poses; empty where all agrees.
 
     Costs a second or two. Reads no held-out picture.
 
@@ -66,7 +66,7 @@ def doubts(dataset: Dataset) -> list[Doubt]:
         DataFormatError: a picture is missing or damaged.
     """
     found = [*_lenses(dataset), *_clocks(dataset)]
-    if any(doubt.stops for doubt in found) or len(dataset.cameras) < 2 or len(dataset.train_frames) < 2:
+    if any(fault.stops for fault in found) or len(dataset.cameras) < 2 or len(dataset.train_frames) < 2:
         return found
     views = _views(dataset)
     wrong_plates = list(_plates(views))
@@ -90,9 +90,9 @@ def window_share(dataset: Dataset) -> float:
     return float(np.max(shares, axis=0).prod()) if shares else 1.0
 
 
-def refuse_impossible(found: list[Doubt], dataset: Dataset) -> None:
-    """Raises GofError: one of the doubts stops."""
-    stopping = [doubt.text for doubt in found if doubt.stops]
+def refuse_impossible(found: list[Fault], dataset: Dataset) -> None:
+    """Raise GofError where one of the faults stops."""
+    stopping = [fault.text for fault in found if fault.stops]
     if stopping:
         raise GofError(f"{dataset.path}: {'; '.join(stopping)}. Mend it, or go on with --anyway")
 
@@ -100,12 +100,12 @@ def refuse_impossible(found: list[Doubt], dataset: Dataset) -> None:
 # ---- What dataset.json alone says ------------------------------------------------------------------------------------
 
 
-def _lenses(dataset: Dataset) -> Iterator[Doubt]:
+def _lenses(dataset: Dataset) -> Iterator[Fault]:
     for camera in dataset.cameras:
         for side, pixels, focal in (("wide", camera.width, camera.K[0, 0]), ("high", camera.height, camera.K[1, 1])):
             view = float(np.degrees(2 * np.arctan(pixels / (2 * focal))))
             if not VIEW_DEG[1][0] <= view <= VIEW_DEG[1][1]:
-                yield Doubt(
+                yield Fault(
                     f"camera '{camera.name}' would see {view:.3g} degrees {side} (focal length {focal:.3g} px of "
                     f"{pixels} px)",
                     stops=not VIEW_DEG[0][0] <= view <= VIEW_DEG[0][1],
@@ -113,7 +113,7 @@ def _lenses(dataset: Dataset) -> Iterator[Doubt]:
                 break
 
 
-def _clocks(dataset: Dataset) -> Iterator[Doubt]:
+def _clocks(dataset: Dataset) -> Iterator[Fault]:
     yield from _digits(
         "the dataset's clock",
         dataset.times_s,
@@ -128,9 +128,9 @@ def _clocks(dataset: Dataset) -> Iterator[Doubt]:
         lines = camera.width if camera.readout in ("left", "right") else camera.height
         readout = camera.row_time_s * lines
         if camera.row_time_s < 0:
-            yield Doubt(f"{name}: row_time_s is {camera.row_time_s:g} s; `readout` says the direction, no sign", True)
+            yield Fault(f"{name}: row_time_s is {camera.row_time_s:g} s; `readout` says the direction, no sign", True)
         elif step > 0 and readout > READOUT[1] * step:
-            yield Doubt(
+            yield Fault(
                 f"{name} would take {readout:.3g} s to read the {lines} lines of a frame that lasts {step:.3g} s "
                 f"(row_time_s {camera.row_time_s:.3g} s)",
                 stops=readout > READOUT[0] * step,
@@ -139,19 +139,19 @@ def _clocks(dataset: Dataset) -> Iterator[Doubt]:
             away = float(np.median(own - np.median(others, axis=0)))
             apart = all(own[0] > clock[-1] + step or own[-1] < clock[0] - step for clock in others)
             if apart or abs(away) > 2 * step:
-                yield Doubt(
+                yield Fault(
                     f"{name}: its pictures were taken {away:+.3g} s from the others' of the same number"
                     + (", when no other camera filmed" if apart else f", {abs(away) / step:.1f} frames"),
                     stops=apart,
                 )
 
 
-def _digits(what: str, values: np.ndarray, least: float, remedy: str) -> Iterator[Doubt]:
+def _digits(what: str, values: np.ndarray, least: float, remedy: str) -> Iterator[Fault]:
     """Clips too long and flames too far from the cameras, where a result in float32 would be rounded to nothing."""
     try:
         require_digits(what, values, least, remedy)
     except GofError as e:
-        yield Doubt(str(e), stops=True)
+        yield Fault(str(e), stops=True)
 
 
 # ---- What a few pictures say -----------------------------------------------------------------------------------------
@@ -181,7 +181,7 @@ def _view(dataset: Dataset, number: int, frames: list[int]) -> _View:
     return _View(camera.scaled(*size), static, image, np.stack([flame_mask(picture, static) for picture in image]))
 
 
-def _plates(views: list[_View]) -> Iterator[Doubt]:
+def _plates(views: list[_View]) -> Iterator[Fault]:
     """Outside the fire a picture is its plate; where another camera's fits much better, they were mixed up."""
     for view in views:
         outside = ~view.mask.any(0)
@@ -199,23 +199,23 @@ def _plates(views: list[_View]) -> Iterator[Doubt]:
             continue
         said = f"the pictures of camera '{view.camera.name}' differ from its plate by {own:.2f} outside the fire"
         if turned < PLATE[1] * own:
-            yield Doubt(f"{said}, and by {turned:.2f} from the plate turned by 180 degrees", True)
+            yield Fault(f"{said}, and by {turned:.2f} from the plate turned by 180 degrees", True)
         elif nearest is not None and others[nearest] < PLATE[1] * own:
-            yield Doubt(f"{said}, and by {others[nearest]:.2f} from that of '{nearest}': are the plates swapped?", True)
+            yield Fault(f"{said}, and by {others[nearest]:.2f} from that of '{nearest}': are the plates swapped?", True)
 
 
 def _difference(view: _View, plate: np.ndarray, outside: np.ndarray) -> float:
     return float(np.median(np.abs(view.image - plate).mean(-1)[:, outside]))
 
 
-def _dark(views: list[_View]) -> dict[str, Doubt]:
+def _dark(views: list[_View]) -> dict[str, Fault]:
     """By name the cameras that show no flame, or hardly any, while others do."""
     shares = {view.camera.name: float(view.mask.mean()) for view in views}
     usual = float(np.median([share for share in shares.values() if share > 0] or [0.0]))
     dark = [name for name, share in shares.items() if share < min(DARK[0], DARK[1] * usual) or (share == 0 < usual)]
     others = ", ".join(f"'{name}' {share:.2%}" for name, share in shares.items() if name not in dark)
     return {
-        name: Doubt(
+        name: Fault(
             f"camera '{name}' shows no flame ({shares[name]:.2%} of its picture; {others}): is its film HDR that was "
             "read as SDR, too dark, or is the flame in its plate or outside its picture? Ingest without it, or mend it",
             True,
@@ -224,14 +224,14 @@ def _dark(views: list[_View]) -> dict[str, Doubt]:
     }
 
 
-def _poses(views: list[_View]) -> Iterator[Doubt]:
+def _poses(views: list[_View]) -> Iterator[Fault]:
     if sum(view.mask.any() for view in views) < 2:
         return  # there is no flame; the stage that looks for it says so
     cameras = [view.camera for view in views]
     try:
         low, high = flame_box(cameras, _padded([view.mask.any(0) for view in views]))
     except DataFormatError as e:
-        yield Doubt(str(e), True)
+        yield Fault(str(e), True)
         return
     middle = (low + high) / 2
     yield from _digits(
@@ -245,7 +245,7 @@ def _poses(views: list[_View]) -> Iterator[Doubt]:
         float(np.degrees(2 * np.arcsin(min(np.linalg.norm(a - b) / 2, 1.0)))) for a, b in itertools.combinations(ray, 2)
     )
     if angle < ANGLE_DEG[1]:
-        yield Doubt(
+        yield Fault(
             f"the cameras see the flame from directions at most {angle:.2g} degrees apart, which hardly tell its depth",
             stops=angle < ANGLE_DEG[0],
         )
@@ -254,12 +254,12 @@ def _poses(views: list[_View]) -> Iterator[Doubt]:
         yield from _light(views, middle)
 
 
-def _hull(views: list[_View]) -> Iterator[Doubt]:
+def _hull(views: list[_View]) -> Iterator[Fault]:
     shares = [_covered(views, f) for f in range(len(views[0].mask)) if sum(v.mask[f].any() for v in views) >= 2]
     for view, share in zip(views, np.transpose(shares) if shares else (), strict=False):
         share = share[np.isfinite(share)]
         if len(share) and (usual := float(np.median(share))) < COVERED[1]:
-            yield Doubt(
+            yield Fault(
                 f"only {usual:.0%} of the flame that camera '{view.camera.name}' sees can be where the others see it: "
                 "is a pose, a focal length or a clock wrong?",
                 stops=usual < COVERED[0],
@@ -300,7 +300,7 @@ def _covered(views: list[_View], frame: int) -> np.ndarray:
     return shares
 
 
-def _light(views: list[_View], middle: np.ndarray) -> Iterator[Doubt]:
+def _light(views: list[_View], middle: np.ndarray) -> Iterator[Fault]:
     for number, view in enumerate(views):
         others = views[:number] + views[number + 1 :]
         spread, change = _agreement(view, others, middle)
@@ -308,7 +308,7 @@ def _light(views: list[_View], middle: np.ndarray) -> Iterator[Doubt]:
         if spread < SPREAD[1]:
             turned = _agreement(_turned(view), others, middle)[0]
             upside_down = turned > max(SPREAD[1], spread)
-            yield Doubt(
+            yield Fault(
                 f"the flame's light is spread otherwise in {name} than in any other (correlation {spread:.2f} over the "
                 "planes that they share): "
                 + (
@@ -319,7 +319,7 @@ def _light(views: list[_View], middle: np.ndarray) -> Iterator[Doubt]:
                 stops=upside_down or spread < SPREAD[0],
             )
         elif change < CHANGE:
-            yield Doubt(
+            yield Fault(
                 f"the flame in {name} changes otherwise than in any other (correlation {change:.2f}): is its clock "
                 "off by frames?",
                 stops=False,

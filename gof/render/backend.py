@@ -119,7 +119,7 @@ def kernels() -> Kernels:
         return Kernels("drjit", f"{KERNELS_VARIABLE}=drjit")
     obstacle = _obstacle_to_native()
     if obstacle is None:
-        return Kernels("native", "numba is here and the processor multiplies and adds at once")
+        return Kernels("native", "numba is here and the CPU multiplies and adds at once")
     if wanted == "native":
         raise GofError(f"{KERNELS_VARIABLE}=native, but {obstacle}")
     return Kernels("drjit", obstacle)
@@ -129,7 +129,7 @@ def kernels() -> Kernels:
 def _obstacle_to_native() -> str | None:
     """Why the native kernels cannot run here; None: they can."""
     if BACKEND == "cuda":
-        return "they are for processors, and GOF_RENDER_BACKEND is 'cuda'"
+        return "they are for CPUs, and GOF_RENDER_BACKEND is 'cuda'"
     try:
         import llvmlite.binding
         import numba
@@ -140,7 +140,7 @@ def _obstacle_to_native() -> str | None:
     if numba.config.DISABLE_JIT:
         return "NUMBA_DISABLE_JIT is set"
     if platform.machine() == "x86_64" and not llvmlite.binding.get_host_cpu_features().get("fma"):
-        return "this processor has no fused multiply-add (AVX2)"
+        return "this CPU has no fused multiply-add (AVX2)"
     return None
 
 

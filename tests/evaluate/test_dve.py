@@ -315,7 +315,7 @@ def test_sums_add_up():
 
 
 @pytest.mark.parametrize("wrong", [0.5, 2.0])
-def test_doubt_is_scored_by_what_lies_within_it(wrong):
+def test_uncertainty_is_scored_by_what_lies_within_it(wrong):
     """Half of the weight is off by 1 m/s along x and says so, half by more along x and z; one says nothing."""
     field = VelocityField.from_array(np.zeros((8, 8, 8, 3)), (-4, -4, -4), 1.0)
     velocity = np.array([[1.0, 0, 0], [wrong, 0, wrong], [9.0, 9, 9]])

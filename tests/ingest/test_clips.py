@@ -16,7 +16,7 @@ from gof.footage.lens import Lens, prepare
 from gof.footage.videos import stated_info
 from gof.ingest import plates
 from gof.ingest.fire_free import around
-from gof.ingest.footage import Clip, Footage
+from gof.ingest.footage import Footage, PreparedClip
 from gof.ingest.over_time import LUMA, darkest, largest_change, median
 from gof.ingest.sfm import PoseError
 from tests.ingest.scene import FOCAL, HEIGHT, WIDTH, cameras, draw, pose_errors
@@ -268,9 +268,9 @@ def test_footage_errors(tmp_path):
         stated_info(tmp_path / "empty")
     cv2.imwrite(str(tmp_path / "empty" / "0.png"), np.zeros((4, 6, 3), np.uint8))
     with pytest.raises(DataFormatError, match="has 1 frames, 2"):
-        list(Clip(tmp_path / "empty", (6, 4), (0, 1), np.copy))
+        list(PreparedClip(tmp_path / "empty", (6, 4), (0, 1), np.copy))
     with pytest.raises(DataFormatError, match="6x4, the lens is given for 5x4"):
-        list(Clip(tmp_path / "empty", (5, 4), (0,), np.copy))
+        list(PreparedClip(tmp_path / "empty", (5, 4), (0,), np.copy))
     with pytest.raises(DataFormatError, match="between 0 and 180"):
         Lens.from_fov(6, 4, 180)
     with pytest.raises(GofError, match="at least one camera"):

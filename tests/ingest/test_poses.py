@@ -27,7 +27,7 @@ def solved():
     return rig, sfm.solve([(pictures, masks)], [lens(c) for c in rig], NAMES)
 
 
-def test_a_wrong_lens_is_doubted_and_the_right_one_is_not(solved):
+def test_a_wrong_lens_gives_a_warning_and_the_right_one_none(solved):
     """Nothing but the matches tells: no board, no points."""
     rig, right = solved
     assert right.warnings == ()

@@ -113,7 +113,7 @@ print("arguments", sys.argv[1:], __name__)
 
 
 @pytest.mark.long
-def test_cuda_is_the_processor_and_arguments_reach_the_script(run, tmp_path):
+def test_cuda_is_the_cpu_and_arguments_reach_the_script(run, tmp_path):
     script = tmp_path / "words.py"
     script.write_text(WORDS)
     code, out, err = run("--method", "3dgs", script, "--method", "x", "-s", "data", packages=False)

@@ -95,13 +95,13 @@ def test_a_flame_on_its_side_moves_on_its_side(prior):
 LINE = np.array([np.log(3.0), 0, 0, 0, 0])  # the gas is three times as fast as what is seen
 
 
-def giving(vector: int, coefficient: float, doubt: float = 0.0) -> FlowPrior:
-    """A prior whose networks always give one coefficient, 0 for the others, and one log of the doubt."""
+def giving(vector: int, coefficient: float, uncertainty: float = 0.0) -> FlowPrior:
+    """A prior whose networks always give one coefficient, 0 for the others, and one log of the uncertainty."""
     bias = np.zeros((1, 1, VECTORS), np.float32)
     bias[..., vector] = coefficient
     count = len(FEATURES)
     velocity = [(np.zeros((1, count, VECTORS), np.float32), bias)]
-    unsure = [(np.zeros((1, count, 1), np.float32), np.full((1, 1, 1), doubt, np.float32))]
+    unsure = [(np.zeros((1, count, 1), np.float32), np.full((1, 1, 1), uncertainty, np.float32))]
     return FlowPrior(np.zeros(count), np.ones(count), velocity, unsure, Pace(LINE, LINE))
 
 
@@ -139,9 +139,9 @@ def test_the_network_weighs_five_vectors(vector):
             np.testing.assert_allclose(corrected[f][far, :2], 2 * pace * outward, atol=0.15 * pace)
 
 
-def test_doubt_is_over_the_pace():
+def test_uncertainty_is_over_the_pace():
     field = plume()
-    found = giving(0, 1.0, doubt=np.log(0.25)).correct(field)
+    found = giving(0, 1.0, uncertainty=np.log(0.25)).correct(field)
     for frame in found.frames:
         np.testing.assert_allclose(frame.velocity_sd, 0.25 * 3 * FlameAxis.of(field).seen_speed, rtol=1e-5)
     assert all(np.isinf(frame.velocity_sd).all() for frame in field.frames), "the seen field says nothing of it"
@@ -188,9 +188,22 @@ def test_weights_survive_the_file(prior, tmp_path):
     again = FlowPrior.load(tmp_path / "w.npz")
     for name in ("metric", "unitless"):
         np.testing.assert_array_equal(getattr(again.pace, name), getattr(prior.pace, name))
-    for name in ("velocity", "doubt"):
+    for name in ("velocity", "uncertainty"):
         network, same = getattr(prior, name), getattr(again, name)
         np.testing.assert_array_equal(evaluate_network(same, x), evaluate_network(network, x))
+
+
+def test_weights_of_0_2_are_read(prior, tmp_path):
+    prior.save(tmp_path / "w.npz")
+    arrays = dict(np.load(tmp_path / "w.npz"))
+    old = {name.replace("uncertainty", "doubt"): array for name, array in arrays.items()}
+    assert "doubt_weight_0" in old
+    np.savez(tmp_path / "old.npz", **old)
+    for (weight, bias), (same, as_well) in zip(
+        FlowPrior.load(tmp_path / "old.npz").uncertainty, prior.uncertainty, strict=True
+    ):
+        np.testing.assert_array_equal(weight, same)
+        np.testing.assert_array_equal(bias, as_well)
 
 
 def test_bad_weights_are_named(tmp_path):
@@ -203,7 +216,7 @@ def test_bad_weights_are_named(tmp_path):
     np.savez(path, mean=np.zeros(3))
     with pytest.raises(DataFormatError, match="is missing"):
         FlowPrior.load(path)
-    empty = dict.fromkeys(("velocity_layers", "doubt_layers"), 0)
+    empty = dict.fromkeys(("velocity_layers", "uncertainty_layers"), 0)
     numbers = dict.fromkeys(("mean", "deviation", "pace_metric", "pace_unitless"), np.zeros(1))
     np.savez(path, features=["a"], **empty, **numbers)
     with pytest.raises(DataFormatError, match="other features"):

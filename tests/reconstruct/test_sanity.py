@@ -13,7 +13,7 @@ from gof.commands.cli import main
 from gof.core.errors import GofError
 from gof.dataset import Dataset
 from gof.reconstruct import memory
-from gof.reconstruct.sanity import doubts
+from gof.reconstruct.sanity import find_faults
 from tests.conftest import look_at
 from tests.reconstruct.rising_flame import DT, edit, write_flame
 
@@ -24,7 +24,7 @@ def flame(tmp_path_factory):
 
 
 def said(folder) -> str:
-    return "; ".join(("STOP " if doubt.stops else "warn ") + doubt.text for doubt in doubts(Dataset.open(folder)))
+    return "; ".join(("STOP " if fault.stops else "warn ") + fault.text for fault in find_faults(Dataset.open(folder)))
 
 
 def changed(flame, tmp_path, change):
@@ -41,7 +41,7 @@ def turn(folder, camera, how, kinds=("rgb", "static")):
     return folder
 
 
-def test_a_good_rig_is_not_doubted_and_it_takes_no_time(flame):
+def test_a_good_rig_has_no_fault_and_it_takes_no_time(flame):
     start = time.perf_counter()
     assert said(flame) == ""
     assert time.perf_counter() - start < 5
@@ -127,7 +127,7 @@ def test_three_times_the_same_view_is_no_rig(flame, tmp_path):
     assert "STOP the cameras see the flame from directions at most 0.02" in said(edit(folder, narrow))
 
 
-def test_a_clock_that_is_off_by_frames_is_doubted(tmp_path):
+def test_a_clock_that_is_off_by_frames_is_a_fault(tmp_path):
     """The times say nothing; the flame does: one camera shows it a quarter of a turn later."""
 
     def pulse(images, late=0):
@@ -150,7 +150,7 @@ def test_a_clock_that_is_off_by_frames_is_doubted(tmp_path):
 # ---------------------------------------------------------------- false alarms
 
 
-def test_unusual_rigs_are_not_doubted(tmp_path):
+def test_unusual_rigs_have_no_fault(tmp_path):
     """Two cameras; two 8 degrees apart; landscape; four; rolled on its side; rolling shutter; over the border; a clock
     half a frame off."""
     rigs = {
@@ -176,7 +176,7 @@ def test_two_cameras_8_degrees_apart(tmp_path, monkeypatch):
     assert said(write_flame(tmp_path / "close", cameras=2)) == ""
 
 
-def test_fire_left_in_a_plate_and_a_lost_camera_are_not_doubted(flame, tmp_path):
+def test_fire_left_in_a_plate_and_a_lost_camera_have_no_fault(flame, tmp_path):
     """A third of the flame's light stays in one plate; another camera gives no picture for some frames."""
     folder = shutil.copytree(flame, tmp_path / "left")
     plate = cv2.imread(str(folder / "static/cam_0.png")).astype(float)
@@ -200,7 +200,7 @@ def test_fire_left_in_a_plate_and_a_lost_camera_are_not_doubted(flame, tmp_path)
     ],
     ids=["Unix time", "seconds since midnight", "UTM", "a little from zero"],
 )
-def test_clocks_and_worlds_far_from_zero_are_not_doubted(flame, tmp_path, change):
+def test_clocks_and_worlds_far_from_zero_have_no_fault(flame, tmp_path, change):
     """They are measured from a datum (`tests/test_datum.py`)."""
     assert said(changed(flame, tmp_path, change)) == ""
 

@@ -18,7 +18,7 @@ def formats() -> dict[str, Format]:
 
     grid = "velocity.zarr/**/*"
     return {
-        "a rig, doubted": Format(rig, _doubt, "**/*.[jp][sn]*"),
+        "a rig, judged": Format(rig, _faults, "**/*.[jp][sn]*"),
         "a rig that cannot be": Format(rig, _believe, "dataset.json", injury=impossible, believed=False),
         "dataset.json": Format(dataset, read_dataset, "dataset.json", share=2),
         "pictures .png": Format(dataset, read_dataset, "*/cam_0*/**/*.png"),
@@ -170,7 +170,7 @@ def _frames(folder: Path) -> None:
 
 
 def rig(folder: Path) -> None:
-    """Three cameras around a glowing ball that grows, whose pictures agree: nothing to doubt."""
+    """Three cameras around a glowing ball that grows, whose pictures agree: no fault."""
     import cv2
 
     from gof.core.cameras import Camera
@@ -309,13 +309,13 @@ def _read_frames(folder: Path):
     return found
 
 
-def _doubt(folder: Path):
+def _faults(folder: Path):
     from gof.dataset import Dataset
-    from gof.reconstruct.sanity import doubts
+    from gof.reconstruct.sanity import find_faults
 
-    return [doubt.text for doubt in doubts(Dataset.open(folder))]
+    return [fault.text for fault in find_faults(Dataset.open(folder))]
 
 
 def _believe(folder: Path) -> None:
-    if said := _doubt(folder):
+    if said := _faults(folder):
         raise GofError(f"{folder}: {said[0]}")

@@ -5,7 +5,7 @@ import pytest
 
 from gof.reconstruct.fusion import fuse_frame
 from gof.reconstruct.voxels import FlameVoxels
-from gof_benchmark.evidence.motion_bounds import Clip, true_flow, with_speed_of
+from gof_benchmark.evidence.motion_bounds import ClipFields, true_flow, with_speed_of
 from tests.conftest import arc
 from tests.reconstruct.plumes import box_of_voxels
 
@@ -36,7 +36,7 @@ def test_parts_are_told_apart_and_add_up():
     of_layer = np.zeros((2, 4, 3)) + np.array([1.0, 1, 3, 3])[:, None]
     standing = np.zeros((2, 4, 3)) + np.array([1.0, -1, 2, -2])[:, None]
     passing = np.array([1.0, -1])[:, None, None] + np.zeros((2, 4, 3))
-    clip = Clip(layer, emission, of_layer)
+    clip = ClipFields(layer, emission, of_layer)
     squares = [(v**2).sum() for v in (of_layer, standing, passing)]
     for k, velocity in enumerate((of_layer, standing, passing)):
         np.testing.assert_allclose(clip.parts(velocity), np.eye(3)[k] * squares[k], atol=1e-12)

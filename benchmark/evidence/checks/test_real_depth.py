@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from gof.core.gaussians import TransientGaussians
-from gof_benchmark.evidence.real_depth import Drawn, Moment, scores, what_is_drawn
+from gof_benchmark.evidence.real_depth import Drawn, HeldOutView, scores, what_is_drawn
 from tests.conftest import look_at
 
 CAMERA = look_at("a", (0, -4, 0), (0, 0, 0), width=61, height=61, focal_px=50.0)
@@ -34,7 +34,7 @@ def test_how_far_off_a_flame_stands(nearer):
     where[19:42, 19:42] = True  # within the flame, which is 25 pixels wide, and two more on each side at half its light
     depth = np.full((61, 61), 6.0)
     depth[16:45, 16:45] = 4.0
-    moment = Moment(CAMERA, 0.0, where, depth, 1 / depth)
+    moment = HeldOutView(CAMERA, 0.0, where, depth, 1 / depth)
     error, off = scores(Drawn(TransientGaussians.concatenate([wall, flame]), flame), moment)
     assert off == pytest.approx(abs(nearer), abs=2e-3)
     assert error < 0.02, "a scale and an offset always fit two distances: why `off` is printed too"
@@ -44,10 +44,12 @@ def test_a_wall_alone_is_no_flame():
     wall, nothing = sheet(6.0, 5.0, 0.99), sheet(4.0, 1.0, 0.01)
     where = np.zeros((61, 61), bool)
     where[19:42, 19:42] = True
-    moment = Moment(CAMERA, 0.0, where, np.full((61, 61), 4.0), np.full((61, 61), 1 / 4))
+    moment = HeldOutView(CAMERA, 0.0, where, np.full((61, 61), 4.0), np.full((61, 61), 1 / 4))
     assert scores(Drawn(wall, wall), moment)[1] == pytest.approx(0.5, abs=2e-3)
     assert np.isnan(scores(Drawn(wall, nothing), moment)[1]), "what is hardly there stands nowhere"
-    assert np.isnan(scores(Drawn(wall, wall), Moment(CAMERA, 0.0, where & False, moment.depth, moment.disparity))).all()
+    assert np.isnan(
+        scores(Drawn(wall, wall), HeldOutView(CAMERA, 0.0, where & False, moment.depth, moment.disparity))
+    ).all()
 
 
 def test_what_is_missing_is_named(tmp_path):

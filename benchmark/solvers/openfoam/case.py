@@ -118,7 +118,7 @@ def burner_areas(fire: FoamFire, level: Literal["coarse", "fine"]) -> list[float
 
 
 def constants(fire: FoamFire) -> dict[str, dict[str, Any]]:
-    """Return what the gas is and how it burns, mixes and radiates: the files of `constant`."""
+    """Return the gas and the way it burns, mixes and radiates: the files of `constant`."""
     gas = fire.gas
     return {
         "thermophysicalProperties": {
@@ -364,8 +364,8 @@ def write_fields(fire: FoamFire, folder: Path, level: Literal["coarse", "fine"])
 
 
 def _boundary(fire: FoamFire, openings, floor, burners, upwind, walls) -> dict[str, dict]:
-    """Return what each patch does: with wind, the sides it comes from are inlets and the sides along it are smooth
-    walls."""
+    """Return the behaviour of each patch: with wind, the sides it comes from are inlets and the sides along it
+    smooth walls."""
     found = {"top": openings, "floor": floor} | {f"burner{i}": burner for i, burner in enumerate(burners)}
     for name, normal in SIDES.items():
         out = float(np.dot(normal, fire.wind_m_s))

@@ -178,7 +178,7 @@ def frame_folder(fire: FoamFire, case: Path, number: int) -> Path:
 
 
 def history_of(fire: FoamFire, out: Path) -> FireHistory:
-    """Return what was recorded at every second step on the fine mesh, from a third of its settling on: before, the
+    """Return the record of every second step on the fine mesh, from a third of its settling on: before, the
     flame is what the mapping left of it.
 
     Raises:

@@ -99,7 +99,7 @@ def steps_per_frame(settings: Any) -> int:
 
 
 def timing(settings: Any, picture: Picture) -> Timing:
-    """Return what the effect adds to the time of a picture."""
+    """Return the time that the effect adds to a picture."""
     hook = _hook(settings, "timing")
     return hook(settings, picture) if hook else Timing()
 

@@ -57,7 +57,7 @@ def detect(source: Source) -> str:
 
 
 def _summary(checkpoint: Any) -> str:
-    """Return what an unknown checkpoint holds, in words."""
+    """Return the content of an unknown checkpoint, in words."""
     if isinstance(checkpoint, dict):
         return f"a dict with {sorted(map(str, checkpoint))[:6]}"
     if not isinstance(checkpoint, (tuple, list)):

@@ -28,14 +28,14 @@ class Alignment:
     reach_m: float
 
     def in_words(self, source: Path) -> str:
-        """Return what was done by the cameras of `source`, and what is left."""
-        doubtful = self.position_rms_m > SAME_WORLD * self.reach_m or self.rotation_max_deg > SAME_WORLD * 100
+        """Return the similarity by the cameras of `source`, and the rest that it leaves, in words."""
+        apart = self.position_rms_m > SAME_WORLD * self.reach_m or self.rotation_max_deg > SAME_WORLD * 100
         return (
             f"moved by the similarity of {name_model(source)}: scale {self.scale:.4g}; cameras then "
             f"{self.position_rms_m * 1000:.2g} mm (rms) and at most {self.rotation_max_deg:.2g} degrees off"
             + (
                 f"; that is much for cameras {self.reach_m:.2g} m apart: is the calibration poor, or a name wrong?"
-                * doubtful
+                * apart
             )
         )
 

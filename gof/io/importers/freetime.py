@@ -101,7 +101,7 @@ def _canonical_splats(source: Source) -> tuple[dict, dict]:
 
 
 def _vanilla_facts(content: dict, path: Path) -> dict:
-    """Return what a file says of its clip and its life times.
+    """Return a file's statements on its clip and its life times.
 
     Raises:
         DataFormatError: it says that it is no vanilla model, or a figure is none.

@@ -33,7 +33,7 @@ def read(source: Source, options: ImportOptions) -> Imported:
 
 
 def converted(method: str, path: Path) -> str:
-    """Return what a file of ours says it was made from, where that is the result at `path`, read as `method`."""
+    """Return the source that a file of ours names, where that is the result at `path`, read as `method`."""
     return f"{method}: {path.name}"
 
 
@@ -47,7 +47,7 @@ def converted_from(source: Source) -> str:
 
 
 def made_from(source: Source) -> str:
-    """Return what a file of ours says of that: "gof reconstruct demo", or the words of `converted`; "" for nothing."""
+    """Return a file of ours' note on that: "gof reconstruct demo", or the words of `converted`; "" for nothing."""
     if source.path.suffix == ".npz":
         return str(source.npz.get("source", ""))
     return next((c for c in source.ply.comments if c.startswith(SAYS)), "").removeprefix(SAYS)

@@ -110,7 +110,7 @@ def _is_flipped(settings: dict[str, object], options: ImportOptions) -> tuple[bo
 
 
 def _prefilter(settings: dict[str, object]) -> tuple[float, str]:
-    """Return what widens the temporal window when it is drawn, in its time squared, and where that is known from."""
+    """Return the widening of the temporal window when it is drawn, in its time squared, and its source."""
     value = settings.get("prefilter_var", settings and -1.0)
     if isinstance(value, (int, float)) and np.isfinite(value):
         return max(float(value), 0.0), f"prefilter_var {value:g}, by cfg_args beside it"

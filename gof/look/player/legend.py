@@ -60,7 +60,7 @@ def line_s(length_s: float) -> float:
 
 
 def ticks(largest: float) -> list[str]:
-    """Return what stands below the colours, from the first to the last."""
+    """Return the words below the colours, from the first to the last."""
     return ["0", *(_short(share * largest) for share in (0.25, 0.5, 0.75)), f"{_short(largest)}+ m/s"]
 
 

@@ -57,7 +57,7 @@ class Live:
             return assemble(self._fixed | self._shown() | {"live": True, "file": self._opened.name}, title)
 
     def news(self, have: str) -> dict[str, Any] | None:
-        """Return what differs from a page that has the result of stamp `have`; None where nothing does."""
+        """Return the differences from a page that has the result of stamp `have`; None where there are none."""
         with self._one_at_a_time:
             self._refresh()
             return None if have == self._stamp else self._shown()

@@ -80,7 +80,7 @@ class PageSetting:
     def content(
         self, first: Opened, pictures_mb: float, progress: Callable[[int, int], None]
     ) -> tuple[dict[str, Any], str]:
-        """Return what the page has of the setting, as JSON, and in words what was done to recorded pictures.
+        """Return the setting for the page, as JSON, and in words how recorded pictures were changed.
 
         Args:
             first: the result whose plates lie behind the flame.
@@ -116,7 +116,7 @@ class PageSetting:
 
 
 def scales(states: Sequence[TransientGaussians], truths: Sequence[np.ndarray | None]) -> dict[str, Any]:
-    """Return what the last colours mean, and the words below the colours, of all these Gaussians."""
+    """Return the meaning of the last colours, and the words below the colours, of all these Gaussians."""
     speed_max, uncertainty_max = legend.speed_scale(states, truths), legend.uncertainty_scale(states)
     return {
         "speed_max": speed_max,
@@ -252,7 +252,7 @@ def _views(dataset: Dataset | None) -> list[tuple[Dataset, int]]:
 
 
 def _plates(views: list[tuple[Dataset, int]], result: Opened) -> list[str | None]:
-    """Return what lies behind the flame: the result's plates; none where it has a static scene of its own."""
+    """Return the pictures behind the flame: the result's plates; none where it has a static scene of its own."""
     if not views:
         return [None]
     if not result.gaussians.dynamic.all():
@@ -282,7 +282,7 @@ def _checked(gaussians: TransientGaussians, packed: Packed, setting: PageSetting
 
 
 def subtitle(results: Sequence[Opened], setting: PageSetting) -> str:
-    """Return how many Gaussians there are, and how long the clip is."""
+    """Return the number of Gaussians and the length of the clip."""
     count = " and ".join(f"{len(result.gaussians):,}" for result in results)
     return f"{count} transient Gaussians, {1e3 * setting.length_s:.0f} ms"
 
@@ -290,7 +290,7 @@ def subtitle(results: Sequence[Opened], setting: PageSetting) -> str:
 def _facts(
     results: list[Opened], packed: list[Packed], agreement: list[Agreement], dataset: Dataset | None, recorded: str
 ) -> list[tuple[str, str]]:
-    """Return what stands under "About this file"; nothing of where its author keeps files."""
+    """Return the text under "About this file"; it names no folder of its author."""
     facts = []
     for result, p, a in zip(results, packed, agreement, strict=True):
         facts.append((result.name, f"{len(result.gaussians):,} Gaussians, read as {result.method}"))

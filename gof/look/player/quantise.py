@@ -90,7 +90,7 @@ def pack(gaussians: TransientGaussians, true_velocity: np.ndarray | None = None)
 
 
 def unpack(packed: Packed) -> TransientGaussians:
-    """Return what the page draws, as `unpack.js` does. Always-on Gaussians without velocity come back as static."""
+    """Return the Gaussians that the page draws, as `unpack.js` has it. Always-on ones without velocity are static."""
     values, start = {}, 0
     for column in packed.columns:
         length = packed.count * column.parts * column.bytes

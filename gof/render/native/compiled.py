@@ -60,7 +60,7 @@ class _Announcement(event.Listener):
         ours = getattr(started.data.get("dispatcher"), "__module__", "").startswith(__package__)
         if ours and not self.made:
             self.made = True
-            print(f"gof: compiling the renderer for this processor, some seconds, {WHERE}", file=sys.stderr, flush=True)
+            print(f"gof: compiling the renderer for this CPU, some seconds, {WHERE}", file=sys.stderr, flush=True)
 
     def on_end(self, ended: event.Event) -> None:
         """Nothing to say."""

@@ -40,7 +40,7 @@ class _LaneModel(models.PrimitiveModel):
 
 
 def _use_wide_registers(builder) -> None:
-    """Many processors have 512-bit registers that LLVM leaves unused unless it is asked."""
+    """Many CPUs have 512-bit registers that LLVM leaves unused unless it is asked."""
     for attribute in ('"prefer-vector-width"="512"', '"min-legal-vector-width"="512"'):
         set.add(builder.function.attributes, attribute)  # llvmlite's own `add` knows a few attributes only
 
@@ -117,7 +117,7 @@ maximum = _lanewise(_choose(">"), 2)
 where = _lanewise(lambda b, condition, x, y: b.select(condition, x, y), 3)
 square_root, floor, ceil = (_lanewise(_library(name), 1) for name in ("sqrt", "floor", "ceil"))
 absolute = _lanewise(_library("fabs"), 1)
-# By estimate and one Newton step where the processor has them: 1e-7 relative, infinite or NaN where y is 0.
+# By estimate and one Newton step where the CPU has them: 1e-7 relative, infinite or NaN where y is 0.
 ratio = _lanewise(lambda b, x, y: b.fdiv(x, y, flags=("fast",)), 2)
 some = _lanewise(
     lambda b, x: b.icmp_unsigned("!=", b.bitcast(x, ir.IntType(LANES)), ir.Constant(ir.IntType(LANES), 0)),

@@ -2,7 +2,7 @@
 
 Three stages follow each other at the distance of the window's reach: take in a row; SSIM of a row and its derivatives
 with respect to three local moments, blurred along the row at once; the gradient of a row, from eleven rows of those.
-Only those rows are kept, so everything but the pictures stays in the processor's cache. They are kept twice, one ring
+Only those rows are kept, so everything but the pictures stays in the CPU's cache. They are kept twice, one ring
 behind the other, and rows outside the picture as zeros: the rows of any window then lie one after the other.
 """
 
