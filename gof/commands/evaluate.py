@@ -98,14 +98,8 @@ def main(argv: list[str]) -> int:
             extras=Extras(config.weights, depth, dis if config.published else None, disparity),
         )
     out = console()
-    for table in (
-        eve_table(scores),
-        velocity_table(scores),
-        picture_table(scores),
-        around_table(scores),
-        published_table(scores),
-    ):
-        if table.row_count:
+    for of in (eve_table, velocity_table, picture_table, around_table, published_table):
+        if (table := of(scores)).row_count:
             out.print(table)
     for sentence in beaten_trivial_baselines(scores):
         out.print(sentence, highlight=False)

@@ -164,10 +164,8 @@ def _result(places: ClipPlaces, answers: dict[str, np.ndarray], empty: np.ndarra
     own, true, light = answers.pop("own"), places.truth, places.light
     frames = [agreement_sums(w, v, t) for w, v, t in zip(light, own, true, strict=True)]
     groups = np.arange(light.shape[1]) % GROUPS
-    apart = [
-        DVEResult.from_sums(_sums(light[:, groups != g], own[:, groups != g], true[:, groups != g]))
-        for g in range(GROUPS)
-    ]
+    without = (groups != group for group in range(GROUPS))
+    apart = [DVEResult.from_sums(_sums(light[:, one], own[:, one], true[:, one])) for one in without]
     return EveResult(
         pooled=DVEResult.from_sums(sum(frames, Sums())),
         frames=[DVEResult.from_sums(one) for one in frames],

@@ -17,7 +17,7 @@ from gof.evaluate.eddy_time import EddyTime
 from gof.evaluate.intervals import Estimate, over_frames, over_runs, over_scenes, ranks
 from gof.evaluate.leaderboard import COLUMNS, EvaluatedResult
 from gof.evaluate.method import AboutMethod
-from gof.evaluate.scores import FIGURES, Scores, velocity_of
+from gof.evaluate.scores import FIGURES, Agreement, Scores, velocity_of
 from gof.evaluate.training_curve import TrainingCurve
 
 RANKED = ("eve_l2", "eve_cos", "psnr_flame", "ssim_flame")  # figures that every frame has
@@ -227,9 +227,7 @@ def too_good(scores: Scores) -> str:
         if own is not None and own < TOO_GOOD:
             return f"{name} is {own:.4f}: is it the truth itself?"
         if own is not None and bound is not None and bound.l2 is not None and own < bound.l2:
-            return (
-                f"{name} {own:.4f} is below {bound.l2:.4f}, what the truth at each centre scores: was the truth used?"
-            )
+            return f"{name} {own:.4f} is below {bound.l2:.4f}, what the truth at each centre scores: was it used?"
     return ""
 
 
@@ -413,7 +411,11 @@ def _trivial_row(name: str, scores: Sequence[Scores]) -> tuple[str, str, dict[st
     trivial_baselines = [one.trivial_baselines.get(name) for one in scores]
     if any(trivial_baseline is None for trivial_baseline in trivial_baselines):
         return name, "", {}
+    known = [{"zero": Agreement(1.0, 0.0)} | one.dve.eve.baselines for one in scores if one.dve and one.dve.eve]
+    eves = [baselines[name] for baselines in known]
     found: dict[str, float | None] = {
+        "eve_l2": _average([eve.l2 for eve in eves]),
+        "eve_cos": _average([eve.cos_sim for eve in eves]),
         "l2": _average([trivial_baseline.l2_frame_mean for trivial_baseline in trivial_baselines]),
         "cos_sim": _average([trivial_baseline.cos_sim_frame_mean for trivial_baseline in trivial_baselines]),
     }
@@ -431,4 +433,4 @@ def _mean(runs: Sequence[EvaluatedResult], figure: str) -> float | None:
 
 
 def _average(values: Sequence[float | None]) -> float | None:
-    return None if None in values else float(np.mean(values))
+    return None if None in values or not values else float(np.mean(values))

@@ -1,8 +1,8 @@
 """How fast a result says that the gas moves at a place: the mean velocity of the Gaussians that are drawn there.
 
 A Gaussian i is drawn at x where alpha_i(t) g_i(x) >= 1/255, with g_i(x) = exp(-d_i(x)^2 / 2) and d_i the Mahalanobis
-distance: fainter than that no rasteriser draws it. It counts there as it counts in pictures, by its opacity per metre of
-a ray through x,
+distance: fainter than that no rasteriser draws it. It counts there as it counts in pictures, by its opacity per metre
+of a ray through x,
 
     k_i(x) = alpha_i(t) g_i(x) / s_i,   s_i = (s_x s_y s_z)^(1/3),
 
