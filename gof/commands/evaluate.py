@@ -214,6 +214,20 @@ def _add_own_rows(table: Table, dve: VelocityScore) -> None:
         _number(dve.fluctuation.cos_sim),
         "after taking the mean per height from both; every mean scores 1 / 0",
     )
+    if (settled := dve.settled) is not None:
+        table.add_row(
+            "  more nodes",
+            f"{_number(settled.l2)} ± {settled.l2_off:.4f}",
+            f"{_number(settled.cos_sim)} ± {settled.cos_sim_off:.4f}",
+            f"{settled.order} nodes per axis, where digits hold; the paper's {dve.order} are above",
+        )
+    if dve.motion is not None:
+        table.add_row(
+            "  against its motion",
+            _number(dve.motion.l2),
+            _number(dve.motion.cos_sim),
+            "its velocities and the motion of its Gaussians: 0 / 1 where they are one",
+        )
     if dve.within_sd is not None:
         meaning = f"{dve.within_sd:.0%} within one standard deviation of the truth (68 % if v_sd is right)"
         table.add_row("  its own uncertainty", "", "", meaning)

@@ -18,6 +18,7 @@ from gof.core.records import read_record, write_record
 from gof.evaluate.dve_frame import DVEResult, DVESequence, Opacity
 from gof.evaluate.emission import GradientErrors
 from gof.evaluate.eve import EveResult
+from gof.evaluate.settled import Settled
 from gof.io.importers import ImportOptions
 from gof.io.importers.alignment import Alignment
 from gof.io.importers.source import WorldBy
@@ -116,7 +117,9 @@ class VelocityScore(ClipScore):
     `within_sd` is the share of the velocity's components within one v_sd of the truth, 0.68 where errors are normal and
     v_sd is right, None where no Gaussian has one;
     `skill_over_NAME` = 1 - (L2 / L2 of the trivial baseline)^2, None where there is no such trivial baseline;
-    `eve` and `gradients` are None for a dataset without a flame grid.
+    `eve` and `gradients` are None for a dataset without a flame grid; `settled` is the score with as many nodes of
+    quadrature as its digits need, and `motion` how its velocities agree with the motion of its Gaussians
+    (`gof.evaluate.settled`).
     """
 
     frames: tuple[FrameScore, ...]
@@ -133,6 +136,8 @@ class VelocityScore(ClipScore):
     skill_over_height_mean: float | None
     skill_over_true_centre: float | None
     eve: EveFigures | None = None
+    settled: Settled | None = None
+    motion: Agreement | None = None
     gradients: GradientErrors | None = None
 
 

@@ -33,6 +33,7 @@ from gof.evaluate.scores import (
     VelocityScore,
 )
 from gof.evaluate.sequence import dve_sequence, sanity_warnings
+from gof.evaluate.settled import against_motion, settle
 from gof.evaluate.trivial_baselines import TRIVIAL_BASELINES, skill
 from gof.io.importers import ImportOptions, read_result
 from gof.io.importers.alignment import align_cameras, read_cameras, require_same_world
@@ -107,7 +108,14 @@ def evaluate(
                 gradients = score_gradients(
                     gaussians, truth, flame, times_s, progress=partial(progress, stage="gradients")
                 )
-        figures["dve"] = _velocity_score(sequence, dataset.datum.time_s, order, opacity, eve, gradients)
+        with timed(costs, "quadrature"):
+            settled = settle(gaussians, truth, sequence.probed, sequence.pooled, order)
+        motion = Agreement.of(against_motion(gaussians, sequence.probed))
+        figures["dve"] = replace(
+            _velocity_score(sequence, dataset.datum.time_s, order, opacity, eve, gradients),
+            settled=settled,
+            motion=motion,
+        )
         figures["trivial_baselines"] = {
             name: _trivial_score(name, trivial_baseline)
             for name, trivial_baseline in sequence.trivial_baselines.items()

@@ -18,9 +18,11 @@ from gof.evaluate import evaluate
 from gof.evaluate.dve_frame import dve
 from gof.evaluate.emission import FlameGrid
 from gof.evaluate.eve import ClipPlaces, score_eve
+from gof.evaluate.sequence import dve_sequence
+from gof.evaluate.settled import against_motion, settle
 from gof.evaluate.visible import DRAWN, mean_velocity, opacity_per_metre
 from gof.render.rasterizer import MIN_ALPHA
-from tests.evaluate.analytic import make_gaussians
+from tests.evaluate.analytic import Analytic, Sequence, make_gaussians
 from tests.evaluate.synthetic_flame import flame_dataset, plume
 from tests.evaluate.test_emission import (  # noqa: F401
     CELLS,
@@ -293,3 +295,41 @@ def test_the_true_mean_of_the_clip_has_no_fluctuation(scene):
     assert (found.fluctuation.l2, found.fluctuation.cos_sim) == (pytest.approx(1), pytest.approx(0, abs=1e-6))
     own = score_eve(honest, truth, flame, truth.times_s, places)
     assert own.fluctuation.l2 < 0.8 and own.fluctuation.cos_sim > 0.7
+
+
+# ---------------------------------------------------------------- what more nodes change; the motion
+
+
+def test_more_nodes_are_taken_until_the_digits_hold():
+    """A wave under Gaussians of 2 rad: exactly exp(-2) of it is left, three nodes leave 0.351 of it."""
+
+    def wave(x):
+        return np.stack([np.sin(20 * x[:, 0]), 0 * x[:, 0], 0 * x[:, 0] + 1], 1)
+
+    truth = Sequence([0.0, 0.1], lambda t: Analytic(wave))
+    rng = np.random.default_rng(0)
+    g = make_gaussians(
+        500,
+        position=rng.uniform(0, 3, (500, 3)),
+        velocity=np.tile([0, 0, 1], (500, 1)),
+        scale=np.full((500, 3), 0.1),
+        t_sigma=np.full(500, np.inf),
+    )
+    g = replace(g, velocity=0 * g.velocity, gas_velocity=g.velocity)
+    scored = dve_sequence(g, truth)
+    found = settle(g, truth, scored.probed, scored.pooled, 3)
+    wave2 = np.mean(np.sin(20 * g.position[:, 0].astype(float)) ** 2)
+    exact = np.exp(-4) * wave2
+    assert found.order == 7
+    assert abs(found.l2 - np.sqrt(exact / (1 + exact))) < 0.01 < abs(scored.l2 - np.sqrt(exact / (1 + exact)))
+    assert 0 < found.l2_off < abs(found.l2 - scored.l2)
+
+
+def test_velocities_are_compared_with_the_motion():
+    """Gas at twice the speed of the light: L2 1, CosSim 1; without a velocity of the gas 0 and 1."""
+    truth = Sequence([0.0, 0.1], lambda t: Analytic(lambda x: np.ones_like(x)))
+    g = make_gaussians(50, velocity=np.tile([0, 0, 0.7], (50, 1)), t_sigma=np.full(50, np.inf))
+    for gas, l2 in ((None, 0), (2 * g.velocity, 1)):
+        one = replace(g, gas_velocity=gas)
+        found = against_motion(one, dve_sequence(one, truth).probed)
+        assert found.l2 == pytest.approx(l2, abs=1e-3) and found.cos_sim == pytest.approx(1, abs=1e-6)
