@@ -1,4 +1,4 @@
-"""Two checks of a DVE: what more nodes of quadrature change, and whether its velocities are the motion of its Gaussians.
+"""Two checks of a DVE: what more nodes change, and whether its velocities are the motion of its Gaussians.
 
 The paper takes three nodes per axis. More of them are tried on a sample of the Gaussians, drawn by weight, until the
 digits that are printed hold; the difference on the sample moves the score of all.

@@ -412,7 +412,7 @@ def _trivial_row(name: str, scores: Sequence[Scores]) -> tuple[str, str, dict[st
     if any(trivial_baseline is None for trivial_baseline in trivial_baselines):
         return name, "", {}
     known = [{"zero": Agreement(1.0, 0.0)} | one.dve.eve.baselines for one in scores if one.dve and one.dve.eve]
-    eves = [baselines[name] for baselines in known]
+    eves = [baselines[name] for baselines in known if name in baselines]
     found: dict[str, float | None] = {
         "eve_l2": _average([eve.l2 for eve in eves]),
         "eve_cos": _average([eve.cos_sim for eve in eves]),
