@@ -23,7 +23,7 @@ from gof.evaluate.leaderboard import EvaluatedResult
 from gof.evaluate.method import AboutMethod
 from gof.evaluate.scores import Scores
 from gof.evaluate.submission import OPACITY, ORDER, PICTURES, SCORES, Run, Submission, check, score_again
-from gof.evaluate.suite_board import ScoredScene, board
+from gof.evaluate.suite_board import RANKED, ScoredScene, board
 from gof.evaluate.training_curve import FILE as CURVE
 from gof.evaluate.training_curve import TrainingCurve
 from gof.host.terminal import console
@@ -158,7 +158,7 @@ def _digits(run: Run, dataset: Dataset) -> str:
         if name not in (SCORES, CURVE, "costs.json") and not name.startswith(f"{PICTURES}/"):
             state.update(name.encode() + hashlib.sha256(path.read_bytes()).digest())
     origin = to_json(run.scores)["import"]
-    how = [os.path.relpath(run.result, run.folder), origin["options"], origin["over_plates"], ORDER, OPACITY]
+    how = [os.path.relpath(run.result, run.folder), origin["options"], origin["over_plates"], ORDER, OPACITY, RANKED]
     truth = [path.relative_to(dataset.path).as_posix() for path in dataset.path.glob("*.zarr/**/*") if path.is_file()]
     truth += [path.relative_to(dataset.path).as_posix() for path in dataset.path.glob("grids/**/*") if path.is_file()]
     state.update(json.dumps([how, dataset.identity(*truth), __version__], sort_keys=True).encode())

@@ -54,11 +54,13 @@ class DemoConfig:
 
 
 def spec_of(config: DemoConfig) -> SceneSpec:
-    """Return the scene, also seen from all around, so that the flame is scored from where it was not filmed, too.
+    """Return the scene, also seen from all around, so that the flame is scored from where it was not filmed, too, and
+    with its true light, where velocities are scored.
 
     Raises GofError: there is no such scene.
     """
     spec = load_scene(config.scene, config.preset)
+    spec = replace(spec, ground_truth=tuple(dict.fromkeys((*spec.ground_truth, "grids"))))
     if spec.cameras.around_frames:
         return spec
     return replace(spec, cameras=replace(spec.cameras, around_frames=min(AROUND_FRAMES, spec.clip.frames)))

@@ -13,8 +13,8 @@ from gof.evaluate.scores import Scores
 from gof.evaluate.submission import SCORES, Submission
 from gof.evaluate.training_curve import FILE, TrainingCurve
 
-FIGURES = ("gaussians", "train_s", "memory_mb", "l2", "cos_sim", "inside_l2", "inside_cos", "emission_l2")
-FIGURES += ("emission_cos", "psnr_flame", "ssim_flame", "psnr")
+FIGURES = ("gaussians", "train_s", "memory_mb", "l2", "cos_sim", "inside_l2", "inside_cos", "eve_l2")
+FIGURES += ("eve_cos", "psnr_flame", "ssim_flame", "psnr")
 PLATE = ("psnr_flame", "ssim_flame", "psnr")  # of them the plate alone has
 SHOWN = ("zero", "constant", "height_mean")
 
@@ -60,9 +60,9 @@ def _trivial_lines(scores: Scores) -> list[str]:
         name: {"l2": trivial_baseline.l2, "cos_sim": trivial_baseline.cos_sim}
         for name, trivial_baseline in scores.trivial_baselines.items()
     }
-    emission = None if scores.dve is None else scores.dve.on_emission
-    if emission is not None and "constant" in known:
-        known["constant"] |= {"emission_l2": emission.constant.l2, "emission_cos": emission.constant.cos_sim}
+    eve = None if scores.dve is None else scores.dve.eve
+    if eve is not None and "constant" in known:
+        known["constant"] |= {"eve_l2": eve.baselines["constant"].l2, "eve_cos": eve.baselines["constant"].cos_sim}
     rows = {f"trivial: {name}": known[name] for name in SHOWN if name in known}
     rows["trivial: fire-free plate"] = {key: getattr(scores, f"{key}_plate") for key in PLATE}
     return [f"| {name} | {' | '.join(_cell(key, of.get(key)) for key in FIGURES)} | |" for name, of in rows.items()]

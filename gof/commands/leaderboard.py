@@ -33,7 +33,10 @@ from gof.look.comparison import Moment
 from gof.look.pages import side_by_side
 
 SHOWN = (
+    "velocity_of",
     "flow_prior",
+    "eve_l2",
+    "eve_cos",
     "l2",
     "cos_sim",
     "fluctuation_l2",

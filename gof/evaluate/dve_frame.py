@@ -143,6 +143,7 @@ class DVESequence:
     trivial_baselines: dict[str, DVESequence] = dataclass_field(default_factory=dict)
     fluctuation: DVEResult | None = None
     within_sd: float | None = None  # share of the velocity within one standard deviation of the truth; None: no v_sd
+    probed: tuple[Samples, ...] = ()  # what was scored, frame by frame; kept where trivial baselines are
 
     @property
     def l2(self) -> float | None:

@@ -1,14 +1,9 @@
-"""Velocities and their gradients scored where the flame shines, not where the Gaussians sit. Ours beside the paper's.
+"""The true light of a fire, and the gradients of a result's velocities where it shines.
 
-DVE weights a velocity by its Gaussian's size and opacity, so a result is scored at places, and with weights, of its own
-choice. Here the places are drawn from the true emission, the same for every method, and a result answers with the mean
-velocity of the Gaussians that cover a place,
+Places are drawn from the true emission, the same for every method, and a result answers with the mean velocity of the
+Gaussians that are drawn there (`gof.evaluate.visible`).
 
-    v(x) = sum alpha_i(t) g_i(x) v_i / sum alpha_i(t) g_i(x),   g_i(x) = exp(-d_i(x)^2 / 2),
-
-with d_i the Mahalanobis distance.
-
-Its gradient, and the truth's, is the central difference over one cell of the true grid to each side; where no Gaussian
+A gradient, the truth's too, is the central difference over one cell of the true grid to each side; where no Gaussian
 is on one of the six sides, a result says nothing of how the flow changes, and its gradient counts as zero.
 
     vorticity   sqrt( sum |w - W|^2 / sum |W|^2 )            w, W: curl of the result's and of the true velocity
@@ -20,7 +15,6 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -29,27 +23,12 @@ from gof.core.datum import Datum
 from gof.core.errors import DataFormatError
 from gof.core.fields import CHUNK, SAME_TIME_S, GridSequence, VelocitySequence, open_array
 from gof.core.gaussians import MovingGaussians
-from gof.core.rotations import rotation_matrices
 from gof.evaluate.draws import own_generator
-from gof.evaluate.dve_frame import DVEResult, Sums, agreement_sums
 from gof.evaluate.sparse_grid import StoredField
+from gof.evaluate.visible import mean_velocity, opacity_per_metre
 
-POINTS = 1024  # places per frame; the pooled L2 of 36 frames scatters by less than 1 % (tested against closed forms)
-GRADIENTS = 256  # places per frame, six velocities each
+GRADIENTS = 128  # places per frame, six velocities each
 EXPONENT = 1.3  # light over flame reaction in grids of before they said it themselves (`light_exponent`)
-REACH = 3.0  # standard deviations a Gaussian answers for
-COVERED = 1e-3  # sum of alpha g below which no Gaussian is there, and the answer is zero velocity
-FAINT = 1e-6  # opacity below which a Gaussian answers for nothing
-BATCH = 2000  # Gaussians at a time: bounds memory at about 0.3 GB when all are large
-
-
-@dataclass(frozen=True)
-class EmissionScore:
-    """Pooled over all frames; a place counts as much as another."""
-
-    score: DVEResult
-    constant: DVEResult  # trivial: the mean true velocity of these places, everywhere
-    uncovered: float  # share of the places without a Gaussian, 0..1
 
 
 @dataclass(frozen=True)
@@ -85,18 +64,12 @@ class FlameGrid(GridSequence):
         if not 0 < self.light_exponent < 10:
             raise DataFormatError(f"{path}: light_exponent {self.light_exponent:g} of zarr.json must lie in (0, 10)")
 
-    def places(self, time_s: float, count: int, rng: np.random.Generator) -> np.ndarray:
-        """Return (count, 3) world m, drawn evenly from the emission of the stored frame at `time_s`; (0, 3) without
-        flame.
+    def light(self, frame: int) -> tuple[np.ndarray, np.ndarray]:
+        """Return the cells (K, 3) of a stored frame that burn, and their light (K,), > 0.
 
         Raises:
-            DataFormatError: no frame is stored for that time, or it holds NaN or negative values.
+            DataFormatError: the frame holds NaN or negative values.
         """
-        frame = int(np.abs(self.times_s - time_s).argmin())
-        if abs(self.times_s[frame] - time_s) > SAME_TIME_S:
-            raise DataFormatError(
-                f"{self.path}: no frame at {time_s:g} s; the grid and the velocity store must have the same times"
-            )
         cells, shine = [], []
         for x in range(0, self.resolution[0], CHUNK):  # a layer of chunks at a time, and of it what burns
             flame = self.cells(frame, slice(x, x + CHUNK)).astype(np.float32)
@@ -105,12 +78,47 @@ class FlameGrid(GridSequence):
             burning = np.argwhere(flame)
             cells.append(burning + np.array([x, 0, 0]))
             shine.append(flame[tuple(burning.T)].astype(np.float64) ** self.light_exponent)
-        total = np.cumsum(np.concatenate(shine))
+        return np.concatenate(cells), np.concatenate(shine)
+
+    def frame_at(self, time_s: float) -> int:
+        """Return the stored frame of a time. Raises DataFormatError: there is none."""
+        frame = int(np.abs(self.times_s - time_s).argmin())
+        if abs(self.times_s[frame] - time_s) > SAME_TIME_S:
+            raise DataFormatError(
+                f"{self.path}: no frame at {time_s:g} s; the grid and the velocity store must have the same times"
+            )
+        return frame
+
+    def places(self, time_s: float, count: int, rng: np.random.Generator) -> np.ndarray:
+        """Return (count, 3) world m, drawn evenly from the emission of the stored frame at `time_s`; (0, 3) without
+        flame.
+
+        Raises:
+            DataFormatError: no frame is stored for that time, or it holds NaN or negative values.
+        """
+        cells, light = self.light(self.frame_at(time_s))
+        total = np.cumsum(light)
         if len(total) == 0:
             return np.zeros((0, 3))
         level = (np.arange(count) + rng.random(count)) / count * total[-1]
-        cell = np.concatenate(cells)[np.minimum(np.searchsorted(total, level, side="right"), len(total) - 1)]
+        cell = cells[np.minimum(np.searchsorted(total, level, side="right"), len(total) - 1)]
         return (cell + rng.random((count, 3))) @ self.index_to_world[:3, :3].T + self.index_to_world[:3, 3]
+
+    def light_at(self, time_s: float, points: np.ndarray) -> tuple[np.ndarray, float]:
+        """Return the light (M,) of the cells around world points (M, 3) in the grid, and that of all cells together.
+
+        Raises:
+            DataFormatError: as `places`.
+        """
+        cells, light = self.light(self.frame_at(time_s))
+        world_to_index = np.linalg.inv(self.index_to_world)
+        asked = np.floor(points @ world_to_index[:3, :3].T + world_to_index[:3, 3]).astype(np.int64)
+        asked = np.ravel_multi_index(tuple(np.clip(asked, 0, np.array(self.resolution) - 1).T), self.resolution)
+        burning = np.ravel_multi_index(tuple(cells.T), self.resolution)  # rising, as argwhere gives them
+        at = np.minimum(np.searchsorted(burning, asked), max(len(burning) - 1, 0))
+        if len(burning) == 0:
+            return np.zeros(len(points)), 0.0
+        return np.where(burning[at] == asked, light[at], 0.0), float(light.sum())
 
 
 def flame_grid(folder: Path, datum: Datum) -> FlameGrid | None:
@@ -121,96 +129,6 @@ def flame_grid(folder: Path, datum: Datum) -> FlameGrid | None:
     """
     path = folder / "grids" / "flame.zarr"
     return FlameGrid(path).measured_from(datum) if path.exists() else None
-
-
-def velocity_at(points: np.ndarray, gaussians: MovingGaussians, time_s: float) -> tuple[np.ndarray, np.ndarray]:
-    """Return mean velocity (M, 3) m/s of the dynamic Gaussians at world points (M, 3), and their cover sum alpha g
-    (M,).
-
-    Gaussians count up to REACH standard deviations of their largest axis; zero where the cover is below COVERED.
-    """
-    from scipy.spatial import cKDTree
-
-    state = gaussians.state_at(time_s)
-    position, alpha = state.at(time_s)
-    gas = state.moving_gas
-    alive = np.flatnonzero(state.dynamic & (alpha > FAINT))
-    cover, momentum = np.zeros(len(points)), np.zeros((len(points), 3))
-    tree = cKDTree(points)
-    for start in range(0, len(alive), BATCH):
-        rows = alive[start : start + BATCH]
-        near = tree.query_ball_point(position[rows], REACH * state.scale[rows].max(1))
-        owner = np.repeat(np.arange(len(rows)), [len(n) for n in near])
-        if len(owner) == 0:
-            continue
-        place = np.concatenate(near).astype(np.int64)
-        whiten = rotation_matrices(state.rotation[rows]) / state.scale[rows, None, :]  # columns: own axes over std-dev
-        distance2 = np.einsum("pi,pik->pk", points[place] - position[rows][owner], whiten[owner])
-        weight = alpha[rows][owner] * np.exp(-0.5 * np.einsum("pk,pk->p", distance2, distance2))
-        cover += np.bincount(place, weight, len(points))
-        for k in range(3):
-            momentum[:, k] += np.bincount(place, weight * gas[rows, k].astype(np.float64)[owner], len(points))
-    return np.where((cover >= COVERED)[:, None], momentum / np.maximum(cover, COVERED)[:, None], 0.0), cover
-
-
-def score_flame(
-    gaussians: MovingGaussians,
-    truth: VelocitySequence,
-    flame: FlameGrid,
-    times_s: np.ndarray,
-    progress: Callable[..., None],
-) -> tuple[EmissionScore, GradientErrors]:
-    """Score velocities and gradients where the flame shines; progress(done, total, stage=name).
-
-    Raises:
-        DataFormatError: see `FlameGrid.places`.
-    """
-    return (
-        score_on_emission(gaussians, truth, flame, times_s, progress=partial(progress, stage="on emission")),
-        score_gradients(gaussians, truth, flame, times_s, progress=partial(progress, stage="gradients")),
-    )
-
-
-def score_on_emission(
-    gaussians: MovingGaussians,
-    truth: VelocitySequence,
-    flame: FlameGrid,
-    times_s: np.ndarray,
-    seed: int = 0,
-    progress: Callable[[int, int], None] | None = None,
-) -> EmissionScore:
-    """L2 and CosSim of DVE's formulas at POINTS places per frame, drawn from the true emission.
-
-    The seed makes them the same for all results.
-
-    Raises:
-        DataFormatError: see `FlameGrid.places`.
-    """
-    rng = own_generator("places in the emission", seed)
-    velocities, truths, uncovered = [], [], 0
-    for k, time_s in enumerate(times_s):
-        points = flame.places(float(time_s), POINTS, rng)
-        if len(points):
-            velocity, cover = velocity_at(points, gaussians, float(time_s))
-            velocities.append(velocity)
-            truths.append(StoredField(truth, float(time_s)).sample(points).astype(np.float64))
-            uncovered += int((cover < COVERED).sum())
-        if progress:
-            progress(k + 1, len(times_s))
-    count = sum(len(t) for t in truths)
-    mean = np.concatenate([np.zeros((0, 3)), *truths]).sum(0) / max(count, 1)
-    constants = [np.broadcast_to(mean, t.shape) for t in truths]
-    return EmissionScore(
-        score=_pooled(velocities, truths),
-        constant=_pooled(constants, truths),
-        uncovered=uncovered / max(count, 1),
-    )
-
-
-def _pooled(velocities: list[np.ndarray], truths: list[np.ndarray]) -> DVEResult:
-    """DVE of velocities (M, 3) against truths (M, 3) per frame; every place weighs 1."""
-    sums = [agreement_sums(np.ones(len(t)), v, t) for v, t in zip(velocities, truths, strict=True)]
-    return DVEResult.from_sums(sum(sums, Sums()))
 
 
 # ---------------------------------------------------------------- gradients
@@ -237,8 +155,10 @@ def score_gradients(
         if len(places):
             field = StoredField(truth, time_s)
             sides = six_sides(places, field.voxel_size)
-            velocity, cover = velocity_at(sides, gaussians, time_s)
-            known = (cover >= COVERED).reshape(6, -1).all(0)
+            state = gaussians.state_at(time_s)
+            seen = opacity_per_metre(sides, state, time_s)
+            velocity = mean_velocity(seen, state.moving_gas)
+            known = (seen.getnnz(1) > 0).reshape(6, -1).all(0)
             found = gradient(velocity, field.voxel_size) * known[:, None, None]
             true = gradient(field.sample(sides).astype(np.float64), field.voxel_size)
             sums += _squares(found, true)

@@ -15,7 +15,7 @@ from gof.core.costs import StageCost, StageLog
 from gof.core.errors import DataFormatError, printable
 from gof.evaluate.authors_figures import NAME, OTHER_FOOTAGE, THEIRS
 from gof.evaluate.method import AboutMethod
-from gof.evaluate.scores import Origin, PublishedFigures, Scores
+from gof.evaluate.scores import EveFigures, Origin, PublishedFigures, Scores, velocity_of
 from gof.evaluate.trivial_baselines import BOUNDS
 
 LOWER, NEITHER, HIGHER = -1, 0, 1  # which values of a column are better
@@ -66,9 +66,9 @@ def _velocity(value: Callable) -> Callable[[EvaluatedResult], float | None]:
     return lambda result: None if result.scores.dve is None else value(result.scores.dve)
 
 
-def _emission(value: Callable) -> Callable[[EvaluatedResult], float | None]:
-    """Return a figure of the score on the emission; None where there is no such score."""
-    return _velocity(lambda dve: None if dve.on_emission is None else value(dve.on_emission))
+def _eve(value: Callable) -> Callable[[EvaluatedResult], float | None]:
+    """Return a figure of EVE; None where there is no such score."""
+    return _velocity(lambda dve: None if dve.eve is None else value(dve.eve))
 
 
 def _gradients(value: Callable) -> Callable[[EvaluatedResult], float | None]:
@@ -97,8 +97,25 @@ def _baseline(key: str, better: int) -> Callable[[EvaluatedResult], float | None
     return best
 
 
+def _eve_baseline(key: str, better: int) -> Callable[[EvaluatedResult], float | None]:
+    """Return the best of EVE's trivial baselines, but those that know the truth at every place."""
+
+    def best(eve: EveFigures) -> float | None:
+        found = [getattr(one, key) for name, one in eve.baselines.items() if name not in BOUNDS]
+        return max((value for value in found if value is not None), key=lambda value: better * value, default=None)
+
+    return _eve(best)
+
+
 COLUMNS = {
+    "velocity_of": Column("velocity of", NEITHER, "s", lambda result: velocity_of([result.scores])),
     "flow_prior": Column("learned flow prior", NEITHER, "s", _flow_prior),
+    "eve_l2": Column("EVE L2", LOWER, ".3f", _eve(lambda eve: eve.l2)),
+    "eve_cos": Column("EVE CosSim", HIGHER, ".3f", _eve(lambda eve: eve.cos_sim)),
+    "eve_fluctuation_l2": Column("EVE fluctuation L2", LOWER, ".3f", _eve(lambda eve: eve.fluctuation.l2)),
+    "eve_fluctuation_cos": Column("EVE fluctuation CosSim", HIGHER, ".3f", _eve(lambda eve: eve.fluctuation.cos_sim)),
+    "eve_baseline_l2": Column("EVE best baseline L2", NEITHER, ".3f", _eve_baseline("l2", LOWER)),
+    "eve_baseline_cos": Column("EVE best baseline CosSim", NEITHER, ".3f", _eve_baseline("cos_sim", HIGHER)),
     "l2": Column("DVE L2", LOWER, ".3f", _velocity(lambda dve: dve.l2)),
     "cos_sim": Column("DVE CosSim", HIGHER, ".3f", _velocity(lambda dve: dve.cos_sim)),
     "baseline_l2": Column("best baseline L2", NEITHER, ".3f", _baseline("l2", LOWER)),
@@ -107,8 +124,6 @@ COLUMNS = {
     "inside_cos": Column("in the domain CosSim", HIGHER, ".3f", _velocity(lambda dve: dve.inside.cos_sim)),
     "fluctuation_l2": Column("fluctuation L2", LOWER, ".3f", _velocity(lambda dve: dve.fluctuation.l2)),
     "fluctuation_cos": Column("fluctuation CosSim", HIGHER, ".3f", _velocity(lambda dve: dve.fluctuation.cos_sim)),
-    "emission_l2": Column("on emission L2", LOWER, ".3f", _emission(lambda emission: emission.l2)),
-    "emission_cos": Column("on emission CosSim", HIGHER, ".3f", _emission(lambda emission: emission.cos_sim)),
     "vorticity_l2": Column("vorticity L2", LOWER, ".3f", _gradients(lambda gradients: gradients.vorticity_l2)),
     "divergence_l2": Column("divergence L2", LOWER, ".3f", _gradients(lambda gradients: gradients.divergence_l2)),
     "skill": Column("skill over constant", HIGHER, ".3f", _velocity(lambda dve: dve.skill_over_constant)),
@@ -150,7 +165,14 @@ class Row:
     other_footage: bool = False
     unfinished: str | None = None
     notes: tuple[str, ...] = ()
+    velocity_of: str | None = None
     flow_prior: str | None = None
+    eve_l2: float | None = None
+    eve_cos: float | None = None
+    eve_fluctuation_l2: float | None = None
+    eve_fluctuation_cos: float | None = None
+    eve_baseline_l2: float | None = None
+    eve_baseline_cos: float | None = None
     l2: float | None = None
     cos_sim: float | None = None
     baseline_l2: float | None = None
@@ -159,8 +181,6 @@ class Row:
     inside_cos: float | None = None
     fluctuation_l2: float | None = None
     fluctuation_cos: float | None = None
-    emission_l2: float | None = None
-    emission_cos: float | None = None
     vorticity_l2: float | None = None
     divergence_l2: float | None = None
     skill: float | None = None

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import os
 import warnings
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, fields, make_dataclass, replace
 from pathlib import Path
 from typing import ClassVar
@@ -17,6 +17,8 @@ from gof.core.files import without_place
 from gof.core.records import read_record, write_record
 from gof.evaluate.dve_frame import DVEResult, DVESequence, Opacity
 from gof.evaluate.emission import GradientErrors
+from gof.evaluate.eve import EveResult
+from gof.evaluate.settled import Settled
 from gof.io.importers import ImportOptions
 from gof.io.importers.alignment import Alignment
 from gof.io.importers.source import WorldBy
@@ -68,18 +70,43 @@ class TrivialScore(ClipScore):
     meaning: str
 
 
-@dataclass(frozen=True)
-class EmissionFigures:
-    """The score where the flame shines (`gof.evaluate.emission`); `uncovered`: share of places without a Gaussian."""
+@dataclass(frozen=True, kw_only=True)
+class EveFigures:
+    """The velocities where the fire is (`gof.evaluate.eve`), which rank.
+
+    `l2_sd`, `cos_sim_sd`: standard deviation from the number of places; `empty`: share of the true light where nothing
+    of the result is; `baselines` by the names of `gof.evaluate.eve.BASELINES`.
+    """
 
     l2: float | None
     cos_sim: float | None
-    n: int
+    l2_sd: float | None
+    cos_sim_sd: float | None
+    fluctuation: Agreement
+    empty: float
     speed_ratio: float | None
     l2_axis: tuple[float, float, float] | None
     undefined: str
-    uncovered: float
-    constant: Agreement
+    frames: tuple[FrameScore, ...]
+    baselines: dict[str, Agreement]
+
+    @classmethod
+    def of(cls, found: EveResult, zero_s: float) -> EveFigures:
+        """Take them from a score whose times count from `zero_s` on the dataset's clock."""
+        frames = zip(found.times_s, found.frames, strict=True)
+        return cls(
+            l2=found.pooled.l2,
+            cos_sim=found.pooled.cos_sim,
+            l2_sd=found.l2_sd,
+            cos_sim_sd=found.cos_sim_sd,
+            fluctuation=Agreement.of(found.fluctuation),
+            empty=found.empty,
+            speed_ratio=found.pooled.speed_ratio,
+            l2_axis=found.pooled.l2_axis,
+            undefined=found.pooled.undefined,
+            frames=tuple(FrameScore(t + zero_s, f.l2, f.cos_sim, f.n, f.undefined) for t, f in frames),
+            baselines={name: Agreement.of(one) for name, one in found.baselines.items()},
+        )
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -90,7 +117,9 @@ class VelocityScore(ClipScore):
     `within_sd` is the share of the velocity's components within one v_sd of the truth, 0.68 where errors are normal and
     v_sd is right, None where no Gaussian has one;
     `skill_over_NAME` = 1 - (L2 / L2 of the trivial baseline)^2, None where there is no such trivial baseline;
-    `on_emission` and `gradients` are None for a dataset without a flame grid.
+    `eve` and `gradients` are None for a dataset without a flame grid; `settled` is the score with as many nodes of
+    quadrature as its digits need, and `motion` how its velocities agree with the motion of its Gaussians
+    (`gof.evaluate.settled`).
     """
 
     frames: tuple[FrameScore, ...]
@@ -106,7 +135,9 @@ class VelocityScore(ClipScore):
     skill_over_constant: float | None
     skill_over_height_mean: float | None
     skill_over_true_centre: float | None
-    on_emission: EmissionFigures | None
+    eve: EveFigures | None = None
+    settled: Settled | None = None
+    motion: Agreement | None = None
     gradients: GradientErrors | None = None
 
 
@@ -321,3 +352,12 @@ class Scores(PictureFigures):
         if options is not None and options.world is not None:
             options = replace(options, world=moved(options.world))
         return replace(self, import_=replace(origin, path=path, options=options))
+
+
+def velocity_of(scores: Sequence[Scores]) -> str | None:
+    """Return whose velocity was scored; None where runs differ or none was.
+
+    A result that says another velocity for the gas has that of its Gaussians as a trivial baseline.
+    """
+    said = {"gas" if "light" in one.trivial_baselines else "light" for one in scores if one.dve is not None}
+    return said.pop() if len(said) == 1 else None

@@ -17,12 +17,13 @@ from gof.dataset.leaks import MadeFrom, leaks
 from gof.dataset.plates import own_plate
 from gof.evaluate.around import ViewAround, angles_deg, score_around
 from gof.evaluate.dve_frame import DVESequence, Opacity
-from gof.evaluate.emission import EmissionScore, GradientErrors, flame_grid, score_flame
+from gof.evaluate.emission import GradientErrors, flame_grid, score_gradients
+from gof.evaluate.eve import EveResult, score_eve
 from gof.evaluate.image_scores import BLACK, Extras, Progress, image_scores, timed
 from gof.evaluate.scores import (
     Agreement,
     AroundScore,
-    EmissionFigures,
+    EveFigures,
     FrameScore,
     Origin,
     Scores,
@@ -32,12 +33,14 @@ from gof.evaluate.scores import (
     VelocityScore,
 )
 from gof.evaluate.sequence import dve_sequence, sanity_warnings
+from gof.evaluate.settled import against_motion, settle
 from gof.evaluate.trivial_baselines import TRIVIAL_BASELINES, skill
 from gof.io.importers import ImportOptions, read_result
 from gof.io.importers.alignment import align_cameras, read_cameras, require_same_world
 from gof.io.importers.sidecar import in_words, with_said
 
 NO_PICTURES = "the dataset holds no frame out, so there are no scores of pictures"
+NO_LIGHT = 'the dataset has no grids/flame.zarr, so there is no EVE; a scene with "ground_truth": ["grids"] writes it'
 OURS = ("gof", "memory")  # methods whose results without static Gaussians are known to be flames alone
 
 
@@ -95,8 +98,24 @@ def evaluate(
                 gaussians, truth, _scored_times(truth, dataset), order, opacity, progress=partial(progress, stage="DVE")
             )
             times_s = np.array(sequence.times_s)
-            shine = None if flame is None else score_flame(gaussians, truth, flame, times_s, progress)
-        figures["dve"] = _velocity_score(sequence, dataset.datum.time_s, order, opacity, shine)
+        eve, gradients = None, None
+        if flame is None:
+            warnings.append(NO_LIGHT)
+        else:
+            with timed(costs, "eve"):
+                eve = score_eve(gaussians, truth, flame, times_s, progress=partial(progress, stage="EVE"))
+            with timed(costs, "gradients"):
+                gradients = score_gradients(
+                    gaussians, truth, flame, times_s, progress=partial(progress, stage="gradients")
+                )
+        with timed(costs, "quadrature"):
+            settled = settle(gaussians, truth, sequence.probed, sequence.pooled, order)
+        motion = Agreement.of(against_motion(gaussians, sequence.probed))
+        figures["dve"] = replace(
+            _velocity_score(sequence, dataset.datum.time_s, order, opacity, eve, gradients),
+            settled=settled,
+            motion=motion,
+        )
         figures["trivial_baselines"] = {
             name: _trivial_score(name, trivial_baseline)
             for name, trivial_baseline in sequence.trivial_baselines.items()
@@ -235,19 +254,6 @@ def _scored_times(truth: VelocitySequence, dataset: Dataset) -> np.ndarray:
     return truth.times_s[in_clip]
 
 
-def _emission_figures(found: EmissionScore) -> EmissionFigures:
-    return EmissionFigures(
-        l2=found.score.l2,
-        cos_sim=found.score.cos_sim,
-        n=found.score.n,
-        speed_ratio=found.score.speed_ratio,
-        l2_axis=found.score.l2_axis,
-        undefined=found.score.undefined,
-        uncovered=found.uncovered,
-        constant=Agreement.of(found.constant),
-    )
-
-
 def _clip_figures(sequence: DVESequence) -> dict[str, Any]:
     """Return the fields of a `ClipScore`: the pooled score, and mean and standard deviation over the frames that have
     one."""
@@ -271,7 +277,8 @@ def _velocity_score(
     zero_s: float,
     order: int,
     opacity: Opacity,
-    shine: tuple[EmissionScore, GradientErrors] | None,
+    eve: EveResult | None,
+    gradients: GradientErrors | None,
 ) -> VelocityScore:
     inside, fluctuation = sequence.inside, sequence.fluctuation
     assert inside is not None and fluctuation is not None, "scored with its trivial baselines"
@@ -289,6 +296,6 @@ def _velocity_score(
         within_sd=sequence.within_sd,
         order=order,
         opacity=opacity,
-        on_emission=None if shine is None else _emission_figures(shine[0]),
-        gradients=None if shine is None else shine[1],
+        eve=None if eve is None else EveFigures.of(eve, zero_s),
+        gradients=gradients,
     )

@@ -84,7 +84,10 @@ def dve_sequence(
     if not trivial_baselines:
         return scored
     return replace(
-        scored, trivial_baselines=score_trivial_baselines(gaussians, frames, seed), fluctuation=fluctuation(frames)
+        scored,
+        trivial_baselines=score_trivial_baselines(gaussians, frames, seed),
+        fluctuation=fluctuation(frames),
+        probed=tuple(frames),
     )
 
 

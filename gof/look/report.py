@@ -183,6 +183,11 @@ def verdicts(scores: Scores) -> list[Verdict]:
     """Return the velocities against the trivial baselines, their speed, the flame's pixels against the plate: what is
     defined of it."""
     out = []
+    eve = None if scores.dve is None else scores.dve.eve
+    if eve is not None and eve.l2 is not None and (constant := eve.baselines.get("constant")):
+        good = eve.l2 < constant.l2 and eve.cos_sim > constant.cos_sim
+        sentence = f"Where the fire is (EVE): L2 {eve.l2:.3f} against {constant.l2:.3f} of one constant vector, "
+        out.append(Verdict(good, f"{sentence}CosSim {eve.cos_sim:.3f} against {constant.cos_sim:.3f}."))
     if scores.dve is not None and scores.dve.l2 is not None:
         for name, words in COMPARED.items():
             trivial_baseline = scores.trivial_baselines.get(name)

@@ -13,8 +13,8 @@ from gof.core.records import read_record, write_record
 from gof.evaluate.eddy_time import EddyTime
 from gof.evaluate.leaderboard import EvaluatedResult
 from gof.evaluate.method import AboutMethod
-from gof.evaluate.scores import FrameScore, PictureScore, Scores
-from gof.evaluate.suite_board import Figure, ScoredScene, SuiteBoard, board, difference
+from gof.evaluate.scores import Agreement, EveFigures, FrameScore, PictureScore, Scores
+from gof.evaluate.suite_board import Figure, ScoredScene, SuiteBoard, board, difference, too_good
 from gof.evaluate.training_curve import TrainingCurve
 from gof.look.boards import marks_of, remark, suite_html, suite_markdown
 from gof.on_cpu.launch import Curve
@@ -33,7 +33,21 @@ def result(name: str, l2, train_s=100.0) -> EvaluatedResult:
         for k in (4, 12, 20, 28)
         for c in (0, 1)
     )
-    dve = replace(GOLDEN.dve, frames=frames, l2=float(l2.mean()))
+    eve = EveFigures(
+        l2=float(l2.mean()),
+        cos_sim=float(1 - l2.mean() / 2),
+        l2_sd=0.002,
+        cos_sim_sd=0.002,
+        fluctuation=Agreement(0.9, 0.3),
+        empty=0.0,
+        speed_ratio=1.0,
+        l2_axis=None,
+        undefined="",
+        frames=frames,
+        baselines={name: Agreement(0.6, 0.8) for name in ("constant", "height_mean", "mean_field")}
+        | {"true_centre": Agreement(0.1, 0.99)},
+    )
+    dve = replace(GOLDEN.dve, frames=frames, l2=float(l2.mean()), eve=eve)
     images = replace(GOLDEN.images, pictures=pictures, count=8)
     return EvaluatedResult(Path(), name, replace(GOLDEN, dve=dve, images=images), train_s)
 
@@ -83,8 +97,8 @@ def test_a_better_method_is_ahead_and_equals_share():
         scene("d", good=-0.09, one=0.000, two=0.010),
     ]
     found = rows(board("t", methods("one", "two", "good"), scenes))
-    assert [found[name].figures["l2"].rank for name in ("good", "one", "two")] == [1, 2, 2]
-    assert [found[name].figures["l2"].wins for name in ("good", "one", "two")] == [4, 0, 0]
+    assert [found[name].figures["eve_l2"].rank for name in ("good", "one", "two")] == [1, 2, 2]
+    assert [found[name].figures["eve_l2"].wins for name in ("good", "one", "two")] == [4, 0, 0]
     assert [found[name].figures["psnr_flame"].rank for name in ("good", "one", "two")] == [1, 2, 2]
 
 
@@ -121,11 +135,11 @@ def test_who_is_not_everywhere_competes_with_nobody():
     scenes = [scene("a", full=0.1, part=-0.3), scene("b", full=0.1)]
     found = rows(board("t", methods("full", "part"), scenes))
     assert not found["part"].competes and found["part"].scenes == 1
-    assert found["part"].figures["l2"].rank is None and found["part"].figures["l2"].mean < 0.3
+    assert found["part"].figures["eve_l2"].rank is None and found["part"].figures["l2"].mean < 0.3
     stopped = {"full": AboutMethod(name="full", unfinished="stopped at 3 of 9 steps")}
     assert not rows(board("t", stopped, scenes))["full"].competes
     in_one = board("t", stopped | methods("part"), [scene("a", full=0.1, part=-0.3)]).scenes[0].figures
-    assert in_one["full"]["l2"].rank is None and in_one["part"]["l2"].rank is None, "nor in one scene"
+    assert in_one["full"]["eve_l2"].rank is None and in_one["part"]["eve_l2"].rank is None, "nor in one scene"
 
 
 def test_a_mean_over_fewer_scenes_says_so_on_the_page():
@@ -139,9 +153,9 @@ def test_a_mean_over_fewer_scenes_says_so_on_the_page():
     assert page.count("<small>in 1 of 3 scenes</small>") == 1
     assert re.search(r"^\| \*part\* .*\(in 1 of 3 scenes\) \| poses \| nothing \|", table, re.MULTILINE)
     assert "| full | poses | nothing |" in table
-    assert rows(found)["part"].figures["l2"].wins is None
-    assert [rows(found)[name].figures["l2"].rank for name in ("full", "other")] == [1, 2], "as without the third"
-    assert found.scenes[0].figures["part"]["l2"].rank == 1, "in its own scene it competes"
+    assert rows(found)["part"].figures["eve_l2"].wins is None
+    assert [rows(found)[name].figures["eve_l2"].rank for name in ("full", "other")] == [1, 2], "as without the third"
+    assert found.scenes[0].figures["part"]["eve_l2"].rank == 1, "in its own scene it competes"
     assert "is ranked here" not in page
 
 
@@ -358,5 +372,33 @@ def test_the_page_says_whose_velocity_was_scored():
     }
     here = ScoredScene("a", "test", EddyTime(0.02, False), tuple(0.01 * k for k in range(FRAMES)), runs)
     page = suite_html(board("t", methods(*runs), [here]), {})
-    assert page.split("<b>says gas</b>")[1].split("</li>")[0].count("that of the gas, as the result says it") == 1
-    assert page.split("<b>moves</b>")[1].split("</li>")[0].count("that of its Gaussians") == 1
+    assert (
+        page.split("<b>says gas</b>")[1]
+        .split("</li>")[0]
+        .count("scored velocity: that of the gas, as the result says it")
+        == 1
+    )
+    assert (
+        page.split("<b>moves</b>")[1].split("</li>")[0].count("scored velocity: that of the light, of its Gaussians")
+        == 1
+    )
+
+
+def test_dve_is_shown_with_its_interval_and_ranks_nobody():
+    """EVE and DVE say opposite things: the ranks are EVE's."""
+    better, worse = result("better", np.full(FRAMES, 0.3)), result("worse", np.full(FRAMES, 0.4))
+    fooled = tuple(replace(frame, l2=0.1) for frame in worse.scores.dve.frames)
+    worse = replace(worse, scores=replace(worse.scores, dve=replace(worse.scores.dve, frames=fooled)))
+    runs = {"better": (better,), "worse": (worse,)}
+    here = ScoredScene("a", "test", EddyTime(0.02, False), tuple(0.01 * k for k in range(FRAMES)), runs)
+    found = rows(board("t", methods(*runs), [here]))
+    assert [found[name].figures["eve_l2"].rank for name in runs] == [1, 2]
+    assert [found[name].figures["l2"].mean for name in runs] == pytest.approx([0.3, 0.1])
+    assert all(found[name].figures[key].rank is None for name in runs for key in ("l2", "cos_sim"))
+
+
+def test_an_alarm_where_eve_beats_the_truth_at_the_centres():
+    honest = result("one", np.full(FRAMES, 0.4))
+    dve = replace(honest.scores.dve, eve=replace(honest.scores.dve.eve, l2=0.09))
+    assert "EVE L2 0.0900 is below 0.1000" in too_good(replace(honest.scores, dve=dve))
+    assert too_good(honest.scores) == ""

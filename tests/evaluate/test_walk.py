@@ -64,7 +64,7 @@ def test_a_dataset_makes_few_stays_in_evaluate(tmp_path):
         scores = evaluate(truth, dataset)
     finally:
         sys.setprofile(before)
-    assert scores.dve.on_emission and scores.dve.gradients and scores.psnr_flame, "all of it was asked for"
+    assert scores.dve.eve and scores.dve.gradients and scores.psnr_flame, "all of it was asked for"
     stays = [Path(file).relative_to(SOURCES).as_posix() for file in walk.files]
     assert stays[0] == "evaluate/scoring.py" and "evaluate/image_scores.py" in stays
     assert len(stays) <= MOST, "\n".join(stays)

@@ -1,0 +1,222 @@
+"""EVE, the emission-weighted evaluation of velocities: DVE's two numbers asked where the fire is, not where a result's
+Gaussians are.
+
+With e(x, t) the true light of a place, V(x, t) the true velocity there, and v(x, t) the mean velocity of the result's
+visible Gaussians (`gof.evaluate.visible`), or zero where next to nothing of the result is,
+
+    L2     = sqrt( sum e |v - V|^2 / sum e |V|^2 )
+    CosSim = sum e cos(v, V) / sum e
+
+summed over places and frames. Nothing in these weights is the result's choice. The fluctuation is the same two figures
+of what is left of v and of V without their own mean over time at each place, weighted by e: every steady field, the
+clip's true mean too, has L2 1 and CosSim 0 there.
+
+The sums are over PLACES places of the clip, drawn from the light of all its frames and asked at every frame in which
+they burn; they are the same for every result.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from gof.core.fields import VelocitySequence
+from gof.core.gaussians import MovingGaussians, TransientGaussians
+from gof.evaluate.draws import own_generator
+from gof.evaluate.dve_frame import DVEResult, Sums, agreement_sums
+from gof.evaluate.emission import FlameGrid
+from gof.evaluate.expectation import expected_velocity
+from gof.evaluate.sparse_grid import StoredField
+from gof.evaluate.visible import mean_velocity, opacity_per_metre
+
+PLACES = 1024  # of a clip, each asked at every frame in which it burns
+GROUPS = 8  # of places, each spread over the whole flame; they tell how exact the sums are
+EMPTY = 0.01  # of the mean opacity per metre where the flame is; below, nothing of the result is there
+LAYERS = 32  # of the mean velocity per height
+
+BASELINES = {
+    "constant": "one vector everywhere: the mean true velocity",
+    "height_mean": "the mean true velocity of each height, everywhere",
+    "mean_field": "the clip's mean true velocity of each place: nothing unsteady",
+    "light": "how the Gaussians move, where the result says another velocity for the gas",
+    "true_centre": "the true velocity at each Gaussian's centre: the best that one vector a Gaussian can do",
+}
+
+
+@dataclass(frozen=True)
+class ClipPlaces:
+    """Places of a clip: where it burns at any time, and how much light of each frame each place stands for.
+
+    Attributes:
+        times_s: (T,).   position: (M, 3) world m.
+        light: (T, M) >= 0; the sum over M is, on average, the frame's whole light.
+        truth: (T, M, 3) m/s; zero where `light` is.
+    """
+
+    times_s: np.ndarray
+    position: np.ndarray
+    light: np.ndarray
+    truth: np.ndarray
+
+    @classmethod
+    def draw(
+        cls, truth: VelocitySequence, flame: FlameGrid, times_s: np.ndarray, count: int = PLACES, seed: int = 0
+    ) -> ClipPlaces:
+        """Draw equally many from every frame's light.
+
+        A place stands for its light over the density with which it was drawn, the mean over frames of their
+        normalised light, so that sums over places are right on average whichever frame it was drawn from.
+
+        Raises:
+            DataFormatError: see `FlameGrid.places`.
+        """
+        rng = own_generator("places of the clip", seed)
+        times_s = np.asarray(times_s, np.float64)
+        each = -(-count // len(times_s))
+        drawn = [flame.places(float(time_s), each, rng) for time_s in times_s]
+        position = np.concatenate([np.zeros((0, 3)), *drawn])
+        found = [flame.light_at(float(time_s), position) for time_s in times_s]
+        light, whole = np.array([one for one, _ in found]), np.array([total for _, total in found])
+        burning = whole > 0
+        density = (light[burning] / whole[burning, None]).mean(0) if burning.any() else np.ones(len(position))
+        light = light / np.where(density > 0, density, 1) / max(len(position), 1)
+        velocity = np.zeros((*light.shape, 3))
+        for k, time_s in enumerate(times_s):
+            rows = np.flatnonzero(light[k])
+            velocity[k, rows] = StoredField(truth, float(time_s)).sample(position[rows])
+        return cls(times_s, position, light, velocity)
+
+
+@dataclass(frozen=True)
+class EveResult:
+    """EVE of a clip.
+
+    Attributes:
+        pooled: over places and frames.   frames: of each frame.   fluctuation: see above.
+        l2_sd, cos_sim_sd: standard deviation of `pooled` from the number of places; None where it is undefined.
+        empty: share of the true light where nothing of the result is, 0..1.
+        baselines: by name (BASELINES); "light" only where gas and light have a velocity each.
+    """
+
+    pooled: DVEResult
+    frames: list[DVEResult]
+    times_s: list[float]
+    fluctuation: DVEResult
+    l2_sd: float | None
+    cos_sim_sd: float | None
+    empty: float
+    baselines: dict[str, DVEResult] = field(default_factory=dict)
+
+
+def score_eve(
+    gaussians: MovingGaussians,
+    truth: VelocitySequence,
+    flame: FlameGrid,
+    times_s: np.ndarray,
+    places: ClipPlaces | None = None,
+    progress: Callable[[int, int], None] | None = None,
+) -> EveResult:
+    """Score a result's velocities where the fire is.
+
+    Args:
+        truth, flame: true velocity and light, with frames at all of `times_s` (T,).
+        places: of `ClipPlaces.draw` for the same truth and times, where several results are scored; default: drawn.
+        progress: progress(done, total).
+    Raises:
+        DataFormatError: see `FlameGrid.places`.
+    """
+    places = ClipPlaces.draw(truth, flame, times_s) if places is None else places
+    answers: dict[str, np.ndarray] = {}
+    there = np.zeros(places.light.shape)
+    for k, time_s in enumerate(map(float, places.times_s)):
+        rows = np.flatnonzero(places.light[k])
+        state = gaussians.state_at(time_s)
+        density = opacity_per_metre(places.position[rows], state, time_s)
+        there[k, rows] = np.asarray(density.sum(1)).ravel()
+        for name, velocity in _said(state, truth, time_s, density.indices).items():
+            answers.setdefault(name, np.zeros_like(places.truth))[k, rows] = mean_velocity(density, velocity)
+        if progress:
+            progress(k + 1, len(places.times_s))
+    mean = (places.light * there).sum() / max(places.light.sum(), 1e-300)
+    empty = there <= EMPTY * mean
+    for velocity in answers.values():
+        velocity[empty] = 0
+    return _result(places, answers, empty)
+
+
+def _said(state: TransientGaussians, truth: VelocitySequence, time_s: float, seen: np.ndarray) -> dict[str, np.ndarray]:
+    """Return the velocities (N, 3) that Gaussians are asked for; "true_centre" of the `seen` rows alone."""
+    moving = state.dynamic[:, None]
+    said = {"own": state.moving_gas.astype(np.float64)}
+    if state.gas_velocity is not None:
+        said["light"] = np.where(moving, state.velocity, 0).astype(np.float64)
+    rows = np.unique(seen)
+    position = state.at(time_s)[0][rows].astype(np.float64)
+    said["true_centre"] = np.zeros((len(state), 3))
+    found = expected_velocity(StoredField(truth, time_s), position, state.scale[rows], state.rotation[rows], 1)
+    said["true_centre"][rows] = found.centre
+    return said
+
+
+def _result(places: ClipPlaces, answers: dict[str, np.ndarray], empty: np.ndarray) -> EveResult:
+    own, true, light = answers.pop("own"), places.truth, places.light
+    frames = [agreement_sums(w, v, t) for w, v, t in zip(light, own, true, strict=True)]
+    groups = np.arange(light.shape[1]) % GROUPS
+    without = (groups != group for group in range(GROUPS))
+    apart = [DVEResult.from_sums(_sums(light[:, one], own[:, one], true[:, one])) for one in without]
+    return EveResult(
+        pooled=DVEResult.from_sums(sum(frames, Sums())),
+        frames=[DVEResult.from_sums(one) for one in frames],
+        times_s=places.times_s.tolist(),
+        fluctuation=DVEResult.from_sums(_sums(light, _unsteady(own, light), _unsteady(true, light))),
+        l2_sd=_jackknife([one.l2 for one in apart]),
+        cos_sim_sd=_jackknife([one.cos_sim for one in apart]),
+        empty=float(light[empty].sum() / max(light.sum(), 1e-300)),
+        baselines={
+            name: DVEResult.from_sums(_sums(light, velocity, true))
+            for name, velocity in (_means(places) | answers).items()
+        },
+    )
+
+
+def _sums(light: np.ndarray, velocity: np.ndarray, truth: np.ndarray) -> Sums:
+    return agreement_sums(light.ravel(), velocity.reshape(-1, 3), truth.reshape(-1, 3))
+
+
+def _unsteady(velocity: np.ndarray, light: np.ndarray) -> np.ndarray:
+    """Return velocities (T, M, 3) without their mean over time at each place, by light (T, M)."""
+    rest = velocity - _mean_over_time(velocity, light)
+    rest[np.abs(rest).max(-1) <= 1e-9 * np.abs(velocity).max(initial=0)] = 0  # rounding is no fluctuation
+    return rest
+
+
+def _mean_over_time(velocity: np.ndarray, light: np.ndarray) -> np.ndarray:
+    total = light.sum(0)
+    return np.einsum("tm,tmk->mk", light, velocity) / np.where(total > 0, total, 1)[:, None]
+
+
+def _means(places: ClipPlaces) -> dict[str, np.ndarray]:
+    """Return the velocities (T, M, 3) of the baselines that know the truth and nothing of the result."""
+    light, true = places.light, places.truth
+    weight, means = light.sum(0), _mean_over_time(true, light)
+    height = places.position[:, 2]
+    edges = np.quantile(height, np.linspace(0, 1, LAYERS + 1)[1:-1]) if len(height) else []
+    layer = np.searchsorted(edges, height)
+    total = np.maximum(np.bincount(layer, weight, LAYERS), 1e-300)
+    of_layer = np.stack([np.bincount(layer, weight * means[:, k], LAYERS) for k in range(3)], 1) / total[:, None]
+    constant = (weight[:, None] * means).sum(0) / max(weight.sum(), 1e-300)
+    shape = true.shape
+    return {
+        "constant": np.broadcast_to(constant, shape),
+        "height_mean": np.broadcast_to(of_layer[layer], shape),
+        "mean_field": np.broadcast_to(means, shape),
+    }
+
+
+def _jackknife(values: list[float | None]) -> float | None:
+    """Return the standard deviation of a figure from its values without one group of places each."""
+    if any(value is None for value in values):
+        return None
+    return float(np.sqrt((len(values) - 1) * np.var(values)))
