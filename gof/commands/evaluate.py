@@ -98,7 +98,7 @@ def main(argv: list[str]) -> int:
             extras=Extras(config.weights, depth, dis if config.published else None, disparity),
         )
     out = console()
-    for of in (eve_table, velocity_table, picture_table, around_table, published_table):
+    for of in (eve_table, velocity_table, picture_table, around_table, light_table, published_table):
         if (table := of(scores)).row_count:
             out.print(table)
     for sentence in beaten_trivial_baselines(scores):
@@ -280,6 +280,20 @@ def around_table(scores: Scores) -> Table:
         psnr, ssim, sharp, false = (sum(found) / len(found) if found else None for found in means.values())
         share = "-" if false is None else f"{false:.1%}"
         table.add_row(f"{angle}°", str(len(those)), _number(psnr, 2), _number(ssim), _number(sharp, 2), share)
+    return table
+
+
+def light_table(scores: Scores) -> Table:
+    """Return where the light is in space; empty without true light."""
+    table = Table(title="The light in space, against the true light", title_justify="left")
+    for column in ("score", "result", "truth", "meaning"):
+        table.add_column(column, justify="left" if column in ("score", "meaning") else "right")
+    light = scores.light
+    if light is not None:
+        table.add_row("relative L2", _number(light.relative_l2), "0", "of light per cell, 32 cells along the flame")
+        table.add_row("correlation", _number(light.correlation), "1", "cosine of the two")
+        table.add_row("outside", f"{light.outside:.1%}", "0.0%", "light more than a cell away from all flame")
+        table.add_row("smear", _number(light.smear, 2), "1", "extent along the middle view over extent across")
     return table
 
 

@@ -284,6 +284,19 @@ class AroundScore:
     false_colour: float | None = None
 
 
+# ---------------------------------------------------------------- light in space
+
+
+@dataclass(frozen=True, kw_only=True)
+class LightScore:
+    """Where the light is in space; see `gof.evaluate.light.LightResult`."""
+
+    relative_l2: float
+    correlation: float
+    outside: float
+    smear: float | None = None
+
+
 # ---------------------------------------------------------------- all of it
 
 
@@ -301,6 +314,7 @@ class Scores(PictureFigures):
         published: means over the held-out pictures; None when not asked for.
         images: None when pictures were not asked for.
         around: of cameras all around the flame; empty where the dataset has none.
+        light: None where the dataset has no true light.
         costs: seconds by part.
     """
 
@@ -318,6 +332,7 @@ class Scores(PictureFigures):
     published: PublishedFigures | None = None
     images: ImageScores | None = None
     around: tuple[AroundScore, ...] = ()
+    light: LightScore | None = None
     costs: dict[str, float] = field(default_factory=dict)
 
     @property

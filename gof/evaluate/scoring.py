@@ -20,11 +20,13 @@ from gof.evaluate.dve_frame import DVESequence, Opacity
 from gof.evaluate.emission import GradientErrors, flame_grid, score_gradients
 from gof.evaluate.eve import EveResult, score_eve
 from gof.evaluate.image_scores import BLACK, Extras, Progress, image_scores, timed
+from gof.evaluate.light import score_light
 from gof.evaluate.scores import (
     Agreement,
     AroundScore,
     EveFigures,
     FrameScore,
+    LightScore,
     Origin,
     Scores,
     TrivialScore,
@@ -104,6 +106,10 @@ def evaluate(
         else:
             with timed(costs, "eve"):
                 eve = score_eve(gaussians, truth, flame, times_s, progress=partial(progress, stage="EVE"))
+            with timed(costs, "light"):
+                middle = dataset.cameras[len(dataset.cameras) // 2].world_to_camera[2, :3]
+                found = score_light(gaussians, flame, times_s, middle, partial(progress, stage="light"))
+                figures["light"] = None if found is None else LightScore(**asdict(found))
             with timed(costs, "gradients"):
                 gradients = score_gradients(
                     gaussians, truth, flame, times_s, progress=partial(progress, stage="gradients")
