@@ -33,14 +33,11 @@ from gof.look.comparison import Moment
 from gof.look.pages import side_by_side
 
 SHOWN = (
-    "velocity_of",
     "flow_prior",
     "eve_l2",
     "eve_cos",
     "l2",
     "cos_sim",
-    "fluctuation_l2",
-    "fluctuation_cos",
     "psnr_flame",
     "ssim_flame",
     "train_s",

@@ -4,7 +4,9 @@ The flow of the tricks is a rising column that swirls and sways; the honest resu
 velocity of their centres, 15 % off in random directions.
 """
 
+import json
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -18,6 +20,7 @@ from gof.evaluate import evaluate
 from gof.evaluate.dve_frame import dve
 from gof.evaluate.emission import FlameGrid
 from gof.evaluate.eve import ClipPlaces, score_eve
+from gof.evaluate.scores import Scores
 from gof.evaluate.sequence import dve_sequence
 from gof.evaluate.settled import against_motion, settle
 from gof.evaluate.visible import DRAWN, mean_velocity, opacity_per_metre
@@ -333,3 +336,14 @@ def test_velocities_are_compared_with_the_motion():
         one = replace(g, gas_velocity=gas)
         found = against_motion(one, dve_sequence(one, truth).probed)
         assert found.l2 == pytest.approx(l2, abs=1e-3) and found.cos_sim == pytest.approx(1, abs=1e-6)
+
+
+def test_scores_of_before_are_read_without_eve(tmp_path):
+    """They say on_emission, by another definition: it is not shown as EVE."""
+    data = json.loads((Path(__file__).parents[1] / "golden/gof-scores.json").read_text(encoding="utf-8"))
+    for name in ("eve", "settled", "motion"):
+        del data["dve"][name]
+    data["dve"]["on_emission"] = {"l2": 0.4, "cos_sim": 0.9}
+    (tmp_path / "scores.json").write_text(json.dumps(data), encoding="utf-8")
+    dve = Scores.read(tmp_path / "scores.json").dve
+    assert (dve.eve, dve.settled, dve.motion, dve.order) == (None, None, None, 3)
