@@ -97,10 +97,9 @@ def test_compiling_is_announced_once_and_kept(tmp_path):
 def test_without_a_folder_to_keep_them_kernels_are_compiled_each_time(tmp_path):
     pytest.importorskip("numba")
     (tmp_path / "file").touch()
-    for _ in range(2):
-        value, said = draw(XDG_CACHE_HOME=str(tmp_path / "file"))
-        assert value > 0 and "no cache folder can be written" in said
-    assert [p.name for p in Path(tmp_path).iterdir()] == ["file"]
+    value, said = draw(XDG_CACHE_HOME=str(tmp_path / "file"))
+    assert value > 0 and "no cache folder can be written" in said
+    assert [p.name for p in Path(tmp_path).iterdir()] == ["file"], "so the next process has to compile them too"
 
 
 @pytest.mark.parametrize("asked, expected", [("1", 1), ("1,4", 1), ("100000", None)])
