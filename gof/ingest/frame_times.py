@@ -5,6 +5,7 @@ Frames are paired by time, never by number: cameras may begin apart, differ in r
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -60,9 +61,11 @@ class FrameTimes:
         time_s = [clock[frames] - zero for clock, frames in zip(clocks, pairing.frames, strict=True)]
         return cls(pairing.frames, time_s, row_time_s, readout, source, pairing.notes)
 
-    def turned(self, turn: Turn) -> FrameTimes:
-        """For pictures that are turned: readout directions turn with them."""
-        turned = [CLOCKWISE[(CLOCKWISE.index(r) + QUARTERS[turn]) % 4] for r in self.readout]
+    def turned(self, turns: Sequence[Turn]) -> FrameTimes:
+        """For pictures that are turned, one turn per camera: readout directions turn with them."""
+        turned = [
+            CLOCKWISE[(CLOCKWISE.index(r) + QUARTERS[turn]) % 4] for r, turn in zip(self.readout, turns, strict=True)
+        ]
         return replace(self, readout=turned)
 
 
