@@ -224,8 +224,11 @@ def measured_times(timing: Timing, videos: list[VideoInfo]) -> FrameTimes:
     row_time_s = [camera.row_time_us * 1e-6 for camera in cameras]
     source = "gof capture sync"
     estimated = [video.name for video in synced if video.times.clock == "flame"]
+    heard = [video.name for video in synced if video.times.clock == "sound"]
     if estimated:
         source += f"; the clock of {', '.join(estimated)} is estimated from the flame"
+    if heard:
+        source += "; the clocks are by the films' sound"
     times = FrameTimes.of(pairing, begins, row_time_s, [camera.readout for camera in cameras], source)
     warnings = tuple(f"{video.name}: {warning}" for video in synced for warning in video.times.warnings)
     said = (f"the clock of {', '.join(estimated)} is estimated from the flame, to milliseconds",) if estimated else ()
