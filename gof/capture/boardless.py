@@ -45,6 +45,8 @@ def synchronise_without_board(videos: list[Path], rates: Sequence[float | None])
         GofError: neither sound nor light tells how the clocks lie; says why of both.
     """
     require_different(videos)
+    if len(videos) < 2:
+        raise GofError("one film alone has no other to be compared with")
     names, infos = distinct_names(videos), [read_info(video) for video in videos]
     own = [_own_times(info, rate) for info, rate in zip(infos, rates, strict=True)]
     said: list[str] = []

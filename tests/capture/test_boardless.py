@@ -8,11 +8,12 @@ import cv2
 import numpy as np
 import pytest
 
-from gof.capture.boardless import by_light, by_sound
+from gof.capture.boardless import by_light, by_sound, synchronise_without_board
 from gof.capture.flame_clock import read_light
 from gof.capture.sound_clock import NoSoundClock, find_lag
 from gof.capture.times import FrameTimesFile
 from gof.commands import cli
+from gof.core.errors import GofError
 from gof.core.records import read_record
 from gof.footage.sound import RATE
 
@@ -141,6 +142,11 @@ def test_light_that_agrees_with_nothing_is_refused_by_name(tmp_path, capsys):
     assert cli.main(["capture", "sync", str(film(tmp_path, 0, 1.0)), str(dark), "--out", str(tmp_path / "s")]) == 1
     said = " ".join(capsys.readouterr().err.split())
     assert "silent_0 and dark: the flames' light does not agree" in said and "--start 0 7 0" in said
+
+
+def test_one_film_alone_is_refused(tmp_path):
+    with pytest.raises(GofError, match="one film alone"):
+        synchronise_without_board([film(tmp_path, 0, 1.0)], [None])
 
 
 def test_lights_of_two_rates_close(tmp_path):
