@@ -92,7 +92,7 @@ def synchronise(
         *warnings_of(cameras, _most_us(template), period_us),
         *chain.from_iterable(map(_said, cameras)),
     ]
-    return FrameTimesFile(template.name, period_us, tuple(cameras), _nearest(cameras), tuple(warnings))
+    return FrameTimesFile(template.name, period_us, tuple(cameras), nearest_frames(cameras), tuple(warnings))
 
 
 def _said(camera: SyncedVideo) -> list[str]:
@@ -230,7 +230,7 @@ def _apart(decoded: dict[str, CameraTimes]) -> dict[str, str]:
     return dict.fromkeys(odd, said)
 
 
-def _nearest(cameras: list[SyncedVideo]) -> dict[str, NearestFrame]:
+def nearest_frames(cameras: list[SyncedVideo]) -> dict[str, NearestFrame]:
     """For each camera with times, its frame nearest to the first such camera's first frame."""
     time_s = {c.name: np.array([frame.time_s for frame in c.times.frames]) for c in cameras if c.times}
     nearest: dict[str, NearestFrame] = {}

@@ -7,7 +7,7 @@ from typing import ClassVar, Literal
 
 FILE = "times.json"
 Readout = Literal["down", "up", "left", "right"]
-Clock = Literal["board", "flame"]
+Clock = Literal["board", "flame", "sound"]
 
 
 @dataclass(frozen=True)
@@ -65,7 +65,8 @@ class VideoTimes:
         marker_px: mean side of the marker.
         faults: of the board's wiring.   warnings: other faults.
         clock: "board": read from it; "flame": estimated from other cameras' flame (`gof.capture.flame_clock`), all
-            frames by `systematic_us` alike; nothing is known of gaps then.
+            frames by `systematic_us` alike; nothing is known of gaps then. "sound": by the films' sound
+            (`gof.capture.boardless`), and so are the frames' own time stamps.
     """
 
     width: int
@@ -120,7 +121,7 @@ class FrameTimesFile:
     """times.json: all videos of one take, in the order given, on the board's clock (count 0 = 0 s).
 
     Attributes:
-        template: name of the board's.
+        template: name of the board's; "none" where there is no board, and the first film's clock is the common one.
         period_us: of the board's counter.
         nearest_frames: by the name of each video that has times.
         warnings: those of all videos.

@@ -11,6 +11,7 @@ import tyro
 
 from gof.capture.aligned import Codec, Layout, write_aligned
 from gof.capture.board_points import read_board_points
+from gof.capture.boardless import NO_BOARD, synchronise_without_board
 from gof.capture.decode import DecodeOptions
 from gof.capture.recognise import AUTO, first_frames, recognise
 from gof.capture.ring_board import RingBoard
@@ -38,7 +39,8 @@ WAYS_OUT = (
 
 @dataclass(frozen=True)
 class SyncConfig:
-    """Read the time of every frame from footage of the LED board, for any number of cameras on one clock.
+    """Read the time of every frame, for any number of cameras on one clock: from footage of the LED board, else from
+    the films' sound or the flames' light.
 
     Examples:
       gof capture sync cam_0.mp4 cam_1.mp4 cam_2.mp4 --out sync
@@ -55,7 +57,8 @@ class SyncConfig:
     video."""
     board: str = "auto"
     """Board in the pictures: "auto" recognises a built-in one (gof_board, paper_rig, rocsync); or its name, or the JSON
-    file of your own. A board that the pictures speak against is refused."""
+    file of your own. A board that the pictures speak against is refused. Where "auto" sees none, and with "none",
+    clocks are found by the films' sound, else by the flames' light."""
     board_points: Path | None = None
     """JSON of points of the board marked by hand, for cameras in which its marker is partly hidden or cut off:
     {"cam_1": {"corners": {"0": [x, y]}, "leds": {"5": [x, y]}}}, four or more in all; see docs/capture.md."""
@@ -95,12 +98,9 @@ def main(argv: list[str]) -> int:
     decoding = options(config, row_time_us)
     names = distinct_names(config.videos)
     require_different(config.videos)
-    board = recognise(config.board, first_frames(config.videos))
+    board = None if config.board == NO_BOARD else recognise(config.board, first_frames(config.videos))
     if board is None:
-        raise GofError(
-            f"no camera could be decoded: {', '.join(names)}: the marker of a known LED board is not there: "
-            f"{NO_MARKER}. {WAYS_OUT}"
-        )
+        return sync_without_board(config, decoding, names, folder, written)
     points = None
     if config.board_points is not None:
         if isinstance(board, RingBoard):
@@ -125,6 +125,36 @@ def main(argv: list[str]) -> int:
         print(f"warning: {warning}")
     print(f"wrote {target}")
     write_beside(folder, config.report, written, result, charts)
+    write_figures(replace(result, cameras=tuple(map(without_frames, result.cameras))))
+    return 0
+
+
+def sync_without_board(
+    config: SyncConfig,
+    decoding: list[DecodeOptions],
+    names: list[str],
+    folder: Path,
+    written: tuple[Layout, Codec] | None,
+) -> int:
+    """Write times.json by the films' sound, else by the flames' light, and print what was used."""
+    try:
+        result, said = synchronise_without_board(config.videos, [option.fps for option in decoding])
+    except GofError as e:
+        raise GofError(
+            f"no camera could be decoded: {', '.join(names)}: the marker of a known LED board is not there "
+            f"({NO_MARKER}), and {e}. {WAYS_OUT}"
+        ) from e
+    write_record(folder / FILE, result)
+    used = {"sound": "the films' sound", "flame": "the flames' light"}[result.cameras[0].times.clock]
+    print(f"board: none is seen; clocks by {used}, {names[0]}'s is the common one")
+    for camera in result.cameras:
+        print(describe(camera))
+    for text in said:
+        print(f"note: {text}")
+    for warning in result.warnings:
+        print(f"warning: {warning}")
+    print(f"wrote {folder / FILE}")
+    write_beside(folder, config.report, written, result, {})
     write_figures(replace(result, cameras=tuple(map(without_frames, result.cameras))))
     return 0
 
@@ -194,6 +224,8 @@ def describe(camera: SyncedVideo) -> str:
     times = camera.times
     if times is None:
         return f"{camera.name:<16} not decoded: {camera.error}"
+    if times.clock == "sound":
+        return f"{camera.name:<16} {times.fps:.4f} fps  by SOUND, +-{times.systematic_us / 1000:.1f} ms"
     if times.clock == "flame":
         return f"{camera.name:<16} {times.fps:.4f} fps  ESTIMATED from the flame, +-{times.systematic_us / 1000:.1f} ms"
     missing = sum(times.dropped_before.values())

@@ -66,8 +66,9 @@ class IngestConfig:
     fov: Degrees | None = None
     """Horizontal field of view of the stored pictures, for all cameras, when there is no --cameras. A phone stores an
     upright video lying, with a rotation tag: then it is along the long side."""
-    turn: Turn | Literal["auto"] = "auto"
-    """How to turn the stored pictures upright; "auto": as the files' rotation tags say (phones write them)."""
+    turn: tuple[Turn | Literal["auto"], ...] = ("auto",)
+    """How to turn the stored pictures upright, one for all or one each; "auto": as the file's rotation tag says (phones
+    write them)."""
     plates: Annotated[str, tyro.conf.arg(metavar="steady|minimum|FOLDER")] = "steady"
     """The fire-free picture of each camera: "steady", its minimum over time where fire passed and the temporal median
     elsewhere; "minimum" everywhere; steady:200 or minimum:200 of so many frames around the clip (--start, --frames),
@@ -175,7 +176,7 @@ def ingest(config: IngestConfig) -> Ingested:
         flame_height_m=config.flame_height_m,
         rig=KnownRig.read(config.rig, footage.upright_lenses) if config.rig else None,
         up=config.up,
-        tilts=tuple(read_tilt(v, footage.turn) for v in footage.videos) if config.up in TAGGED else (),
+        tilts=tuple(map(read_tilt, footage.videos, footage.turns)) if config.up in TAGGED else (),
     )
     return make_dataset(
         out,
@@ -256,7 +257,9 @@ def open_footage(config: IngestConfig) -> Footage:
         return Footage.open(config.videos, config.turn, config.cameras, config.fov)
     if config.cameras is not None or config.fov is not None:
         raise GofError(f"{config.videos[0]}: the scene brings its cameras; leave out --cameras and --fov")
-    turn = "none" if config.turn == "auto" else config.turn  # their lenses say how pictures lie
+    if len(set(config.turn)) > 1:
+        raise GofError(f"{config.videos[0]}: the scene's cameras lie alike; give one --turn")
+    turn = "none" if config.turn[0] == "auto" else config.turn[0]  # their lenses say how pictures lie
     return PublishedFootage.read(config.videos[0], turn, config.baseline_m)
 
 

@@ -1,4 +1,5 @@
-"""The part of a video file's header that OpenCV does not tell: its video tracks, and whether frames are two fields."""
+"""The part of a video file's header that OpenCV does not tell: its video tracks, their colours, and whether frames are
+two fields."""
 
 from __future__ import annotations
 
@@ -7,6 +8,8 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import BinaryIO
+
+from gof.footage.colour import UNKNOWN, UNSAID, Colour
 
 MOST_READ = 1 << 20  # bytes at the beginning of an AVI or Matroska file in which its tracks are listed
 FROM_1904_TO_1970 = 2_082_844_800  # s; MP4 counts from 1904
@@ -23,6 +26,7 @@ class VideoTrack:
         frames: how many; None: not stated.
         usual: whether players show it unless told otherwise.
         interlaced: whether the container says that a frame is two fields.
+        colour: what its code values mean.
     """
 
     width: int
@@ -30,6 +34,7 @@ class VideoTrack:
     frames: int | None = None
     usual: bool = True
     interlaced: bool = False
+    colour: Colour = UNKNOWN
 
     def __str__(self) -> str:
         return f"{self.width}x{self.height}" + (f" with {self.frames} frames" if self.frames else "")
@@ -92,12 +97,26 @@ def _tracks_of_mp4(header: bytes) -> Iterator[VideoTrack]:
             continue
         entry = inside(header, *table, b"stsd")[0] + 8  # the first description
         width, height = struct.unpack_from(">HH", header, entry + 32)
-        fields = inside(header, entry + 86, entry + struct.unpack_from(">I", header, entry)[0], b"fiel")
+        more = entry + 86, entry + struct.unpack_from(">I", header, entry)[0]
+        fields = inside(header, *more, b"fiel")
         sizes = inside(header, *table, b"stsz")
         frames = struct.unpack_from(">I", header, sizes[0] + 8)[0] if sizes else 0
         yield VideoTrack(
-            width, height, frames or None, bool(header[shown[0] + 3] & 1), bool(fields) and header[fields[0]] == 2
+            width,
+            height,
+            frames or None,
+            bool(header[shown[0] + 3] & 1),
+            bool(fields) and header[fields[0]] == 2,
+            _colour_of_mp4(header, *more),
         )
+
+
+def _colour_of_mp4(header: bytes, start: int, end: int) -> Colour:
+    """Return that of a film's description: its box `colr` of code points."""
+    for place, _ in boxes(header, start, end, b"colr"):
+        if header[place : place + 4] in (b"nclx", b"nclc"):
+            return Colour(*struct.unpack_from(">HHH", header, place + 4))
+    return UNKNOWN
 
 
 def _tracks_of_avi(data: bytes) -> Iterator[VideoTrack]:
@@ -123,7 +142,15 @@ def _tracks_of_matroska(data: bytes) -> Iterator[VideoTrack]:
             _number_in(data, video, 0xBA, 0),
             usual=_number_in(data, entry, 0x88, 1) == 1,
             interlaced=_number_in(data, video, 0x9A, 0) == 1,
+            colour=_colour_of_matroska(data, video),
         )
+
+
+def _colour_of_matroska(data: bytes, video: tuple[int, int]) -> Colour:
+    place = next(_elements(data, *video, 0x55B0), None)
+    if place is None:
+        return UNKNOWN
+    return Colour(*(_number_in(data, place, number, UNSAID) for number in (0x55BB, 0x55BA, 0x55B1)))
 
 
 def _elements(data: bytes, start: int, end: int, wanted: int) -> Iterator[tuple[int, int]]:

@@ -18,6 +18,7 @@ import numpy as np
 
 from gof.core.errors import DataFormatError
 from gof.core.numbered import frame_of, is_hidden, number_files
+from gof.footage.colour import UNKNOWN, Colour
 from gof.footage.combs import find_combs
 from gof.footage.containers import codes_fields, film_track, made_at, video_tracks
 from gof.footage.pictures import read_picture, read_rotation
@@ -44,6 +45,7 @@ class VideoInfo:
         stated_frames: by the container; some containers (Matroska) state a duration only, and this is an estimate.
         rotation_deg: 0, 90, 180 or 270: how far a player turns the pictures clockwise, by the container's tag.
         bits: per channel as stored; None where the format is not known. Pictures are read with 8.
+        colour: "SDR", "HLG" or "PQ", as the file says; "": it does not. See `gof.footage.colour`.
         stamps_s: (N,) time stamps of the N frames that can be read, s; None for folders, or when not read to the end.
         frames: N; None when not read to the end.
         fingerprint: see `fingerprint`.
@@ -69,6 +71,7 @@ class VideoInfo:
     start_s: float = 0.0
     made_s: int | None = None
     two_fields: bool = False
+    colour: str = ""
 
     @property
     def usual_step_s(self) -> float | None:
@@ -95,7 +98,7 @@ class VideoInfo:
 
 
 def stored_frames(path: Path, in_time: bool = True) -> Iterator[np.ndarray]:
-    """Yield frames as (H, W, 3) uint8 RGB, as stored, in file (video) or number (folder) order.
+    """Yield frames as (H, W, 3) uint8 RGB display values, as stored, in file (video) or number (folder) order.
 
     Args:
         in_time: a folder's pictures are one sequence; False: any pictures, in any order.
@@ -109,6 +112,7 @@ def stored_frames(path: Path, in_time: bool = True) -> Iterator[np.ndarray]:
         for file in picture_files(path) if in_time else loose_pictures(path):
             yield cv2.cvtColor(read_picture(file), cv2.COLOR_BGR2RGB)
         return
+    shown = colour_of(path).reader()
     with _opened(path) as video:
         count = 0
         while True:
@@ -116,7 +120,7 @@ def stored_frames(path: Path, in_time: bool = True) -> Iterator[np.ndarray]:
             if not ok:
                 break
             count += 1
-            yield cv2.cvtColor(frame, cv2.COLOR_BGR2RGB)
+            yield shown(frame)
         if not count:
             raise _unreadable(path)
 
@@ -136,13 +140,20 @@ def chosen_frames(path: Path, numbers: Iterable[int]) -> Iterator[np.ndarray]:
         for number in numbers:
             yield cv2.cvtColor(read_picture(files[number]), cv2.COLOR_BGR2RGB)
         return
+    shown = colour_of(path).reader()
     with _opened(path) as video:
         at = 0
         for number in numbers:
             while at <= number and video.grab():
                 at += 1
             _require_length(path, numbers, at, number)
-            yield cv2.cvtColor(video.retrieve()[1], cv2.COLOR_BGR2RGB)
+            yield shown(video.retrieve()[1])
+
+
+def colour_of(path: Path) -> Colour:
+    """Return what the code values of a video's film, its first video track, mean."""
+    tracks = video_tracks(path) if path.is_file() else []
+    return tracks[0].colour if tracks else UNKNOWN
 
 
 def _require_length(path: Path, numbers: list[int], read: int, number: int | None = None) -> None:
@@ -196,9 +207,10 @@ def _interlaced(path: Path, source: str) -> DataFormatError:
 
 
 def _unreadable(path: Path) -> DataFormatError:
+    copy = shlex.quote(str(path.with_name(f"{path.stem}_again.mp4")))
     return DataFormatError(
-        f"{path}: OpenCV reads no frame from it. Was it copied to its end? If a player shows it, re-encode it, for "
-        "example with ffmpeg"
+        f"{path}: OpenCV reads no frame from it. Was it copied to its end? If a player shows it, re-encode it: ffmpeg "
+        f"-noautorotate -i {shlex.quote(str(path))} -fps_mode passthrough -c:v libx264 -crf 12 {copy}"
     )
 
 
@@ -334,6 +346,7 @@ def stated_info(path: Path) -> VideoInfo:
             fingerprint=fingerprint(path),
             pixel_aspect=(stated("SAR_NUM") or 1.0) / (stated("SAR_DEN") or 1.0),
             made_s=made_at(path),
+            colour=colour_of(path).name,
             two_fields=any(track.interlaced for track in video_tracks(path)[:1])
             or codes_fields(int(stated("FOURCC") or 0).to_bytes(4, "little"), _description(path)),
         )

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 import shlex
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Literal
 
@@ -21,23 +22,43 @@ SQUARE = 1e-3  # by which a pixel's width and height may differ
 TURN_OF_TAG: dict[int, Turn] = {0: "none", 90: "clockwise", 180: "half", 270: "counterclockwise"}
 
 
-def turn_by_tags(videos: list[VideoInfo], asked: Turn | Literal["auto"]) -> Turn:
-    """Return the turn that sets the stored pictures upright: as asked, or as the files' rotation tags say ("auto").
+def turns_by_tags(
+    videos: list[VideoInfo], asked: Turn | Literal["auto"] | Sequence[Turn | Literal["auto"]]
+) -> tuple[Turn, ...]:
+    """Return how to turn each video's stored pictures upright: as asked, or as its rotation tag says ("auto").
 
+    Args:
+        asked: one for all, or one each.
     Raises:
-        GofError: the tags differ and nothing else is asked.
+        GofError: another number of turns than of videos; by tags that differ some pictures stand and some lie, so that
+            one may have lost its tag.
     """
-    if asked != "auto":
-        return asked
-    tags = {video.rotation_deg for video in videos}
-    if len(tags) > 1:
-        each = ", ".join(f"{v.path.name} {v.rotation_deg or 'none'}" for v in videos)
-        raise GofError(
-            f"the files' rotation tags differ ({each}, degrees clockwise): was one copied by a program that drops the "
-            "tag? If all pictures as stored lie the same way, say which with --turn none, clockwise, counterclockwise "
-            "or half"
+    asked = (asked,) if isinstance(asked, str) else asked
+    if len(asked) not in (1, len(videos)):
+        raise GofError(f"--turn: give one value for all videos, or one for each of the {len(videos)}")
+    each = list(asked) * (len(videos) if len(asked) == 1 else 1)
+    turns: list[Turn] = [
+        TURN_OF_TAG[video.rotation_deg] if turn == "auto" else turn for video, turn in zip(videos, each, strict=True)
+    ]
+    shapes = [_upright_shape(video, turn) for video, turn in zip(videos, turns, strict=True)]
+    by_tag = [video for video, turn in zip(videos, each, strict=True) if turn == "auto"]
+    if len({video.rotation_deg for video in by_tag}) > 1 and {"stands", "lies"} <= set(shapes):
+        said = "; ".join(
+            f"{v.path.name}: tag {v.rotation_deg or 'none'}, so its picture {shape}"
+            for v, shape in zip(videos, shapes, strict=True)
         )
-    return TURN_OF_TAG[tags.pop()]
+        raise GofError(
+            f"the files' rotation tags differ, and so do their pictures ({said}): was one copied by a program that "
+            "drops the tag? Say how each is turned upright, in the videos' order, as --turn "
+            f"{' '.join(turns)} (none, clockwise, counterclockwise, half)"
+        )
+    return tuple(turns)
+
+
+def _upright_shape(video: VideoInfo, turn: Turn) -> str:
+    """Return "stands", "lies" or "is square" of the pictures once they are turned."""
+    width, height = (video.width, video.height) if turn in ("none", "half") else (video.height, video.width)
+    return "is square" if width == height else "stands" if height > width else "lies"
 
 
 def require_square_pixels(videos: list[VideoInfo]) -> None:
@@ -208,14 +229,38 @@ def number_notes(videos: list[VideoInfo]) -> list[str]:
     return notes
 
 
+HDR = ("HLG", "PQ")
+
+
+def _curve_note(video: VideoInfo) -> str:
+    """Return what to do about a film of more than 8 bits whose file does not say its curve."""
+    path = video.path
+    copy = shlex.quote(str(path.with_name(f"{path.stem}_hlg{path.suffix}")))
+    return (
+        f"{path.name}: has {video.bits} bits per channel and does not say its curve; it is read as SDR. If it is HDR, "
+        f"write it into a copy: ffmpeg -i {shlex.quote(str(path))} -c copy -color_primaries bt2020 -color_trc "
+        f"arib-std-b67 -colorspace bt2020nc {copy} (HLG; smpte2084 for PQ)"
+    )
+
+
 def other_notes(videos: list[VideoInfo], one_fov: bool) -> list[str]:
-    """Return notes on things that are no errors: more than 8 bits, other sizes, pixels, parts or clocks."""
+    """Return what is no error and yet worth saying: HDR, other turns, sizes, pixels, parts or clocks."""
     notes = [
-        f"{video.path.name}: {video.bits} bits per channel are read as 8; if it is HDR (HLG or PQ), convert it to SDR "
-        "first, or colours are not what was seen"
+        f"{video.path.name}: is HDR ({video.colour}) and is read as such: 203 cd/m2 are white, what is brighter is "
+        "rolled off"
         for video in videos
-        if (video.bits or 8) > 8
+        if video.colour in HDR
     ]
+    if 0 < len(notes) < len(videos):
+        notes.append(
+            "HDR and SDR films are mixed: a phone brightens its SDR films in its own way, so the cameras' colours may "
+            "differ; film alike where you can"
+        )
+    notes += [_curve_note(video) for video in videos if (video.bits or 8) > 8 and not video.colour]
+    tags = [video.rotation_deg for video in videos]
+    if len(set(tags)) > 1:
+        each = ", ".join(f"{v.path.name} {v.rotation_deg or 'none'}" for v in videos)
+        notes.append(f"the files' rotation tags differ ({each}, degrees clockwise): each is turned by its own")
     sizes = [f"{v.width}x{v.height}" for v in videos]
     if len(set(sizes)) > 1 and one_fov:
         notes.append(f"the videos differ in size ({', '.join(sizes)}) and --fov is taken for each of them")

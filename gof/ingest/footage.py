@@ -3,7 +3,7 @@ needed."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Iterable, Iterator
+from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import Any, Literal
@@ -19,7 +19,7 @@ from gof.footage.lens import ROLL_DEG, CalibratedCamera, Lens, Turn, preparation
 from gof.footage.pictures import write_picture as save_picture
 from gof.footage.videos import VideoInfo, chosen_frames, read_info, require_different
 from gof.host.terminal import progress_bar
-from gof.ingest.agreement import other_notes, require_one_film_each, require_square_pixels, turn_by_tags
+from gof.ingest.agreement import other_notes, require_one_film_each, require_square_pixels, turns_by_tags
 from gof.ingest.evidence import Evidence, PoseOptions
 from gof.ingest.frame_times import FrameTimes, Timing, read_frame_times
 from gof.ingest.place import Placed, place_cameras
@@ -75,7 +75,7 @@ class Footage:
     Attributes:
         videos: in the cameras' order.
         lenses: of the pictures as stored.
-        turn: how they are turned upright.
+        turns: how each camera's are turned upright.
         world_to_camera: (C, 4, 4) of the upright pictures, metres, where the poses are known beforehand; else None.
         infos: what the videos' files say, read to their ends.
         notes: what a user should know of them, in words.
@@ -86,7 +86,7 @@ class Footage:
 
     videos: tuple[Path, ...]
     lenses: tuple[Lens, ...]
-    turn: Turn = "none"
+    turns: tuple[Turn, ...]
     world_to_camera: np.ndarray | None = None
     infos: tuple[VideoInfo, ...] = ()
     notes: tuple[str, ...] = ()
@@ -97,17 +97,21 @@ class Footage:
 
     @classmethod
     def open(
-        cls, videos: list[Path], turn: Turn | Literal["auto"], cameras: Path | None, fov_deg: float | None
+        cls,
+        videos: list[Path],
+        turn: Turn | Literal["auto"] | Sequence[Turn | Literal["auto"]],
+        cameras: Path | None,
+        fov_deg: float | None,
     ) -> Footage:
         """With the intrinsics of a file of `gof.footage.lens.read_cameras`, or one horizontal field of view for all.
 
         Poses are taken from the file if it has one of its own for every camera.
 
         Args:
-            turn: "auto" turns as the files' rotation tags say.
+            turn: one for all or one each; "auto" turns as the file's rotation tag says.
         Raises:
-            GofError: both or neither intrinsics are given; a video or the file cannot be read; rotation tags differ;
-                the same footage is given twice.
+            GofError: both or neither intrinsics are given; a video or the file cannot be read; by their rotation tags
+                some pictures stand and some lie; the same footage is given twice.
         """
         if (cameras is None) == (fov_deg is None):
             raise GofError("give the intrinsics with either --cameras FILE or --fov DEGREES")
@@ -118,12 +122,12 @@ class Footage:
         if known is None:
             require_square_pixels(infos)
         notes = other_notes(infos, known is None)
-        turn = turn_by_tags(infos, turn)
+        turns = turns_by_tags(infos, turn)
         if known is None:
             lenses = tuple(Lens.from_fov(info.width, info.height, fov_deg) for info in infos)
-            return cls(tuple(videos), lenses, turn, None, tuple(infos), tuple(notes))
+            return cls(tuple(videos), lenses, turns, None, tuple(infos), tuple(notes))
         lenses = tuple(camera.lens for camera in known)
-        return cls(tuple(videos), lenses, turn, _poses(known), tuple(infos), tuple(notes))
+        return cls(tuple(videos), lenses, turns, _poses(known), tuple(infos), tuple(notes))
 
     def other(self, videos: list[Path]) -> Footage:
         """Another clip by the same cameras. Raises DataFormatError: a video cannot be read, or is stored otherwise."""
@@ -156,11 +160,11 @@ class Footage:
     @property
     def upright_lenses(self) -> list[Lens]:
         """Return the lenses of the prepared pictures."""
-        return [lens.turned(self.turn) for lens in self.lenses]
+        return [lens.turned(turn) for lens, turn in zip(self.lenses, self.turns, strict=True)]
 
     def frame_times(self, timing: Timing) -> FrameTimes:
         """Return which frames are used, and when they were taken. Raises GofError as `read_frame_times`."""
-        return read_frame_times(timing, list(self.infos)).turned(self.turn)
+        return read_frame_times(timing, list(self.infos)).turned(self.turns)
 
     def place(self, clips: list[Evidence], options: PoseOptions) -> Placed:
         """Return the cameras' poses, from this clip and others of the same rig; see `place_cameras`."""
@@ -180,11 +184,11 @@ class Footage:
     @property
     def provenance(self) -> dict[str, Any]:
         """Return the dataset's further notes on its origin."""
-        return {"videos": [_described(info) for info in self.infos], "turn": self.turn}
+        return {"videos": [_described(info) for info in self.infos], "turn": list(self.turns)}
 
     def preparation(self, camera: int) -> Callable[[np.ndarray], np.ndarray]:
         """Return the function that makes a camera's stored pictures (H, W[, 3]) uint8 undistorted and upright."""
-        return preparation(self.lenses[camera], self.turn)
+        return preparation(self.lenses[camera], self.turns[camera])
 
     def clips(self, frames: list[np.ndarray]) -> list[PreparedClip]:
         """Return the prepared pictures of these frame numbers, per camera."""
@@ -284,12 +288,12 @@ def camera_entries(
         CameraEntry.of(
             view.camera,
             role="train",
-            roll_deg=ROLL_DEG[footage.turn],
+            roll_deg=ROLL_DEG[turn],
             rgb=view.rgb,
             mask=view.mask,
             static=view.static,
             board_mask=None if board is None else view.board_mask,
             time_s=tuple(time_s.tolist()),
         )
-        for view, time_s, board in zip(stored, times.time_s, boards, strict=True)
+        for view, turn, time_s, board in zip(stored, footage.turns, times.time_s, boards, strict=True)
     )

@@ -5,6 +5,7 @@ Frames are paired by time, never by number: cameras may begin apart, differ in r
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -60,9 +61,11 @@ class FrameTimes:
         time_s = [clock[frames] - zero for clock, frames in zip(clocks, pairing.frames, strict=True)]
         return cls(pairing.frames, time_s, row_time_s, readout, source, pairing.notes)
 
-    def turned(self, turn: Turn) -> FrameTimes:
-        """For pictures that are turned: readout directions turn with them."""
-        turned = [CLOCKWISE[(CLOCKWISE.index(r) + QUARTERS[turn]) % 4] for r in self.readout]
+    def turned(self, turns: Sequence[Turn]) -> FrameTimes:
+        """For pictures that are turned, one turn per camera: readout directions turn with them."""
+        turned = [
+            CLOCKWISE[(CLOCKWISE.index(r) + QUARTERS[turn]) % 4] for r, turn in zip(self.readout, turns, strict=True)
+        ]
         return replace(self, readout=turned)
 
 
@@ -221,8 +224,11 @@ def measured_times(timing: Timing, videos: list[VideoInfo]) -> FrameTimes:
     row_time_s = [camera.row_time_us * 1e-6 for camera in cameras]
     source = "gof capture sync"
     estimated = [video.name for video in synced if video.times.clock == "flame"]
+    heard = [video.name for video in synced if video.times.clock == "sound"]
     if estimated:
         source += f"; the clock of {', '.join(estimated)} is estimated from the flame"
+    if heard:
+        source += "; the clocks are by the films' sound"
     times = FrameTimes.of(pairing, begins, row_time_s, [camera.readout for camera in cameras], source)
     warnings = tuple(f"{video.name}: {warning}" for video in synced for warning in video.times.warnings)
     said = (f"the clock of {', '.join(estimated)} is estimated from the flame, to milliseconds",) if estimated else ()

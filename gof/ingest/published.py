@@ -162,7 +162,7 @@ class PublishedFootage(Footage):
         return cls(
             videos=videos,
             lenses=tuple(meta.rectified(c) for c in range(count)),
-            turn=turn,
+            turns=(turn,) * count,
             world_to_camera=world_to_camera,
             meta=meta,
             transform=axes @ np.diag([factor, factor, factor, 1.0]),
@@ -188,7 +188,9 @@ class PublishedFootage(Footage):
     def preparation(self, camera: int) -> Callable[[np.ndarray], np.ndarray]:
         """Undistorted as theirs, then turned."""
         meta = self.meta
-        return straightening(meta.camera_matrix[camera], meta.dist_coeffs[camera], self.lenses[camera], self.turn)
+        return straightening(
+            meta.camera_matrix[camera], meta.dist_coeffs[camera], self.lenses[camera], self.turns[camera]
+        )
 
     def place(self, clips: list[Evidence], options: PoseOptions) -> Placed:
         """As published. Raises GofError: a way up is asked for."""
@@ -213,7 +215,7 @@ class PublishedFootage(Footage):
 
     def write_beside(self, out: Path) -> None:
         """out/published_cameras.json: the cameras in the published world, to move a result of theirs into ours."""
-        poses = _turned(self.meta.world_to_camera(), self.turn)
+        poses = _turned(self.meta.world_to_camera(), self.turns[0])
         write_json(out / CAMERAS_FILE, {name: pose.tolist() for name, pose in zip(self.names, poses, strict=True)})
 
     @property

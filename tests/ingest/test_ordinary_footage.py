@@ -61,14 +61,33 @@ def test_the_rotation_tag_makes_pictures_upright(tmp_path, degrees, corner):
     corners = {(y, x): float(picture[y, x].mean()) for y in (0, -1) for x in (0, -1)}
     assert max(corners, key=corners.get) == corner and corners[corner] > 200
     as_stored = Footage.open(videos, "none", None, 50.0)
-    assert as_stored.turn == "none", "--turn overrides the tag"
+    assert as_stored.turns == ("none", "none"), "--turn overrides the tag"
 
 
-def test_rotation_tags_that_differ_are_refused_unless_overridden(tmp_path):
+def test_each_file_is_turned_by_its_own_tag(tmp_path):
+    """One phone hung upside down; and one that stood, its picture stored lying, beside one that stores it standing."""
+    videos = files(tmp_path, lambda path: tag_rotation(path, 180), as_it_is)
+    footage = Footage.open(videos, "auto", None, 50.0)
+    assert footage.turns == ("half", "none") and "each is turned by its own" in " ".join(footage.notes)
+    clips = footage.clips(footage.frame_times(Timing(fps=(100.0,))).frames)
+    corners = [[float(next(iter(clip))[y, x].mean()) for y, x in ((0, 0), (-1, -1))] for clip in clips]
+    assert corners[0][1] > 200 > 100 > corners[0][0] and corners[1][0] > 200 > 100 > corners[1][1]
+    standing = write_video(tmp_path / "standing.mp4", numbered(30, (64, 96)))
+    lying = tag_rotation(videos[0], 90)
+    footage = Footage.open([lying, standing], "auto", None, 50.0)
+    assert footage.turns == ("clockwise", "none")
+    assert [next(iter(clip)).shape for clip in footage.all_clips()] == [(96, 64, 3)] * 2
+
+
+def test_a_lost_tag_is_named_and_every_camera_can_be_turned_by_hand(tmp_path):
     videos = files(tmp_path, lambda path: tag_rotation(path, 90), as_it_is)
-    with pytest.raises(GofError, match=r"rotation tags differ \(cam_0.mp4 90, cam_1.mp4 none.*--turn"):
+    said = r"cam_0.mp4: tag 90, so its picture stands; cam_1.mp4: tag none, so its picture lies.*--turn clockwise none"
+    with pytest.raises(GofError, match=said):
         Footage.open(videos, "auto", None, 50.0)
     assert Footage.open(videos, "clockwise", None, 50.0).upright_lenses[0].width == 64
+    assert Footage.open(videos, ["auto", "clockwise"], None, 50.0).turns == ("clockwise", "clockwise")
+    with pytest.raises(GofError, match="one for each of the 2"):
+        Footage.open(videos, ["none"] * 3, None, 50.0)
 
 
 def test_a_file_that_breaks_off_is_refused_with_its_counts(tmp_path, capfd):

@@ -98,7 +98,7 @@ def test_a_result_in_their_world_is_moved_into_ours(scene, made):
 
 def test_pictures_that_lie_on_their_side_are_turned_with_their_cameras(scene, tmp_path):
     turned = Dataset.open(
-        ingest(IngestConfig([scene[0]], tmp_path / "set", turn="clockwise", frames=3, baseline_m=0.5)).folder
+        ingest(IngestConfig([scene[0]], tmp_path / "set", turn=("clockwise",), frames=3, baseline_m=0.5)).folder
     )
     assert (turned.cameras[0].width, turned.cameras[0].height) == (HEIGHT, WIDTH)
     assert np.linalg.norm(turned.cameras[2].position - turned.cameras[0].position) == pytest.approx(0.5)

@@ -206,7 +206,7 @@ def test_pictures_are_read_as_stored_and_turned_by_their_tags(tmp_path, orientat
     stored = next(iter(stored_frames(folders[0])))
     assert stored.shape == (90, 160, 3) and stored[:, :30, 0].min() > 150 > stored[:, 60:].max()
     footage = Footage.open(folders, "auto", None, 70.0)
-    assert footage.turn == turn and footage.lenses[0].K[0, 0] == pytest.approx(80 / math.tan(math.radians(35)))
+    assert footage.turns == (turn, turn) and footage.lenses[0].K[0, 0] == pytest.approx(80 / math.tan(math.radians(35)))
     from PIL import ImageOps
 
     upright = np.asarray(ImageOps.exif_transpose(Image.open(folders[0] / f"0{suffix}"))).astype(int)
@@ -223,7 +223,10 @@ def test_pictures_are_read_as_stored_and_turned_by_their_tags(tmp_path, orientat
         ),
         (lambda root: lying(root / "d1", 5, 1), "mirrored"),
         (lambda root: lying(root / "d1", 6, 1, ".tif"), "tag says turned"),
-        (lambda root: lying(root / "d1", 3, 3), "the files' rotation tags differ (c0 90, d1 180"),
+        (
+            lambda root: lying(root / "d1", 3, 3),
+            "the files' rotation tags differ, and so do their pictures (c0: tag 90",
+        ),
     ],
     ids=["one without", "mirrored", "tiff", "cameras differ"],
 )

@@ -1,0 +1,213 @@
+"""Cameras without any board: their clocks by the sound of the films, else by the flames' light against each other.
+
+The first film's clock is the common one. A frame's time in its own film is the file's time stamp, which is true time
+where a camera films at the rate at which it plays; for slow motion the rate has to be said, and its sound is of no use.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import combinations
+from pathlib import Path
+
+import numpy as np
+
+from gof.capture.flame_clock import FlameLight, NoFlameClock, find_offset, read_light
+from gof.capture.sound_clock import NoSoundClock, SoundLag, find_lag
+from gof.capture.sync import nearest_frames
+from gof.capture.times import Clock, CounterReading, DecodingCost, FrameTime, FrameTimesFile, SyncedVideo, VideoTimes
+from gof.core.errors import GofError
+from gof.footage.sound import RATE, NoSound, read_sound
+from gof.footage.videos import VideoInfo, distinct_names, fingerprint, read_info, require_different
+
+NO_BOARD = "none"  # what times.json calls a board that is not there
+SOUND_S = 0.003  # sound of 1 m more of way; the cameras' own delays between sound and picture are not seen at all
+FLAME_FRAMES = 1.0  # standard deviation of a pair, as `gof.capture.flame_clock` has it
+
+
+@dataclass(frozen=True)
+class ClockFit:
+    """A film's clock on the first one's: time = own time * (1 + drift) + offset_s, and how well that is known."""
+
+    offset_s: float
+    drift: float
+    sigma_s: float
+    said: str
+
+
+def synchronise_without_board(videos: list[Path], rates: Sequence[float | None]) -> tuple[FrameTimesFile, list[str]]:
+    """Return the times of every frame on the first film's clock, and what was tried, in words.
+
+    Args:
+        rates: each film's true rate; None: its time stamps are true time.
+    Raises:
+        GofError: neither sound nor light tells how the clocks lie; says why of both.
+    """
+    require_different(videos)
+    if len(videos) < 2:
+        raise GofError("one film alone has no other to be compared with")
+    names, infos = distinct_names(videos), [read_info(video) for video in videos]
+    own = [_own_times(info, rate) for info, rate in zip(infos, rates, strict=True)]
+    said: list[str] = []
+    fits: list[ClockFit] | None = None
+    clock: Clock = "sound"
+    if any(rate is not None for rate in rates):
+        said.append("sound: not used, as --fps says that the films do not play at the rate at which they were filmed")
+    else:
+        try:
+            fits = by_sound(names, [read_sound(video) for video in videos])
+        except (NoSound, NoSoundClock) as e:
+            said.append(f"sound: {e}")
+    try:
+        by_flame = by_light(names, own, [read_light(video) for video in videos])
+        if fits is None:
+            fits, clock = by_flame, "flame"
+        else:
+            said += _compared(names, own, fits, by_flame)
+    except NoFlameClock as e:
+        said.append(f"flame: {e}")
+    if fits is None:
+        raise GofError(f"nothing tells how the films' clocks lie: {'; '.join(said)}")
+    cameras = [
+        SyncedVideo(name, str(video), _described(info, times, fit, clock), None, fingerprint(video))
+        for name, video, info, times, fit in zip(names, videos, infos, own, fits, strict=True)
+    ]
+    warnings = tuple(f"{name}: {fit.said}" for name, fit in zip(names, fits, strict=True) if fit.said)
+    return FrameTimesFile(NO_BOARD, 0.0, tuple(cameras), nearest_frames(cameras), warnings), said
+
+
+def _own_times(info: VideoInfo, rate: float | None) -> np.ndarray:
+    """Return (N,) s of the film's frames on its own clock, on which its sound lies too."""
+    if rate is not None:
+        return np.arange(info.frames) / rate
+    if info.stamps_s is None:
+        raise GofError(f"{info.path}: pictures have neither sound nor time stamps; say their rate with --fps")
+    if len(info.stamps_s) < 2 or not np.diff(info.stamps_s).min() > 0:
+        raise GofError(f"{info.path}: its time stamps do not grow with every frame; say its true rate with --fps")
+    return info.stamps_s + info.start_s
+
+
+# ---- sound -----------------------------------------------------------------------------------------------------------
+
+
+def by_sound(names: list[str], sounds: list[np.ndarray]) -> list[ClockFit]:
+    """Return each film's clock on the first one's; all pairs are compared, and must close.
+
+    Raises:
+        NoSoundClock: two tracks do not agree, or the pairs contradict each other.
+    """
+    lags: dict[tuple[int, int], SoundLag] = {}
+    for one, other in combinations(range(len(sounds)), 2):
+        try:
+            lags[one, other] = find_lag(sounds[one], sounds[other], RATE)
+        except NoSoundClock as e:
+            raise NoSoundClock(f"{names[one]} and {names[other]}: {e}") from e
+    fits = [ClockFit(0.0, 0.0, SOUND_S, "")]
+    for other in range(1, len(sounds)):
+        lag = lags[0, other]
+        open_s = [abs(lags[0, k].lag_s + lags[k, other].lag_s - lag.lag_s) for k in range(1, other)]
+        if open_s and max(open_s) > 2 * SOUND_S:
+            raise NoSoundClock(f"the films' sounds contradict each other by {1000 * max(open_s):.1f} ms")
+        sigma = float(np.hypot(SOUND_S, max([lag.sigma_s, *open_s])))
+        drift = f", clocks drift by {1e6 * lag.drift:+.0f} us per s" if lag.drift else ""
+        said = (
+            f"its times are by SOUND against {names[0]}: {lag.heard} of {lag.stretches} stretches agree, to "
+            f"{1000 * lag.sigma_s:.2f} ms{drift}; +-{1000 * sigma:.1f} ms, as sound needs 2.9 ms per metre; a "
+            "camera's own delay between sound and picture is not seen"
+        )
+        fits.append(ClockFit(lag.lag_s, lag.drift, sigma, said))
+    return fits
+
+
+# ---- light -----------------------------------------------------------------------------------------------------------
+
+
+def by_light(names: list[str], own: list[np.ndarray], lights: list[FlameLight]) -> list[ClockFit]:
+    """Return each film's clock on the first one's, of the lags of all pairs that agree, weighted by agreement.
+
+    Args:
+        own: (N,) s of every film's frames.
+    Raises:
+        NoFlameClock: a film agrees with no other, or only with films that do not lead to the first.
+    """
+    steps = [float(np.median(np.diff(times))) for times in own]
+    step = min(steps)
+    even = [_evenly(light, times, step) for light, times in zip(lights, own, strict=True)]
+    rows, values, weights, reasons = [], [], [], []
+    for one, other in combinations(range(len(own)), 2):
+        try:
+            offset = find_offset(even[one], even[other])
+        except NoFlameClock as e:
+            reasons.append(f"{names[one]} and {names[other]}: {e}")
+            continue
+        row = np.zeros(len(own))
+        row[other], row[one] = 1, -1
+        rows.append(row)
+        values.append(own[one][0] + offset.lag * step - own[other][0])
+        weights.append(offset.agreement**2)
+    matrix = np.array(rows).reshape(-1, len(own))[:, 1:]
+    if len(rows) < len(own) - 1 or np.linalg.matrix_rank(matrix) < len(own) - 1:
+        raise NoFlameClock("; ".join(reasons))
+    root = np.sqrt(weights)
+    solved = np.linalg.lstsq(matrix * root[:, None], np.array(values) * root, rcond=None)[0]
+    open_s = float(np.abs(matrix @ solved - values).max())
+    sigma = float(np.hypot(FLAME_FRAMES * max(steps), open_s))
+    said = (
+        f"its times are ESTIMATED from the flame's light against the other films' (they close to "
+        f"{1000 * open_s:.1f} ms): +-{1000 * sigma:.1f} ms, about {sigma / max(steps):.1f} frames"
+    )
+    return [ClockFit(0.0, 0.0, sigma, ""), *(ClockFit(float(offset), 0.0, sigma, said) for offset in solved)]
+
+
+def _evenly(light: FlameLight, times: np.ndarray, step: float) -> FlameLight:
+    """Return the light at equal steps of the film's clock, from its first frame on."""
+    wanted = times[0] + step * np.arange(int((times[-1] - times[0]) / step + 1e-6) + 1)
+    right = np.clip(np.searchsorted(times, wanted - 1e-9), 1, len(times) - 1)
+    part = np.clip((wanted - times[right - 1]) / (times[right] - times[right - 1]), 0, 1)[:, None]
+    along = tuple(line[right - 1] * (1 - part) + line[right] * part for line in light.along)
+    return FlameLight((along[0], along[1]), light.middle, light.size)
+
+
+def _compared(names: list[str], own: list[np.ndarray], sound: list[ClockFit], light: list[ClockFit]) -> list[str]:
+    """Return what the flames' light says of the clocks that sound gave."""
+    said = []
+    for name, times, one, other in list(zip(names, own, sound, light, strict=True))[1:]:
+        middle = float(times.mean())
+        apart = one.offset_s + one.drift * middle - other.offset_s
+        doubt = np.hypot(one.sigma_s, other.sigma_s)
+        words = "which agrees" if abs(apart) <= 2 * doubt else "which CONTRADICTS it: look at one moment in both films"
+        said.append(
+            f"{name}: the flame's light is {1000 * apart:+.1f} ms from its sound (+-{1000 * doubt:.1f}), {words}"
+        )
+    return said
+
+
+def _described(info: VideoInfo, own: np.ndarray, fit: ClockFit, clock: Clock) -> VideoTimes:
+    step = float(np.median(np.diff(own)))
+    time_s = own * (1 + fit.drift) + fit.offset_s
+    sigma_us = round(1e6 * fit.sigma_s, 3)
+    return VideoTimes(
+        width=info.width,
+        height=info.height,
+        fps=round(1 / step, 5),
+        frame_interval_us=round(1e6 * step, 4),
+        row_time_us=0.0,
+        readout="down",
+        frames=tuple(FrameTime(round(t, 8), sigma_us, round(t, 8), True) for t in time_s.tolist()),
+        repeated_frames=(),
+        dropped_before={},
+        rms_us=0.0,
+        max_residual_us=0.0,
+        systematic_us=sigma_us,
+        outliers=0,
+        exposure_us=None,
+        saturation=None,
+        count=CounterReading(0, 0.0, 0),
+        container_fps=info.stated_fps,
+        marker_px=0.0,
+        faults=(),
+        warnings=(fit.said,) if fit.said else (),
+        cost=DecodingCost(0.0, 0.0, 0.0),
+        clock=clock,
+    )
