@@ -20,7 +20,7 @@ from scipy.sparse import coo_matrix, csr_matrix
 from gof.core.cameras import Camera
 from gof.core.colour import srgb_to_linear
 from gof.reconstruct.observation import Observation
-from gof.reconstruct.tomography import find_emission
+from gof.reconstruct.tomography import find_compact_emission
 from gof.reconstruct.voxels import FlameVoxels
 from gof.render.bins import BLOCK
 
@@ -74,7 +74,7 @@ def imagine_views(voxels: FlameVoxels, observation: Observation) -> UnseenViews 
     """Return what tomography of the training frames says of the views all around; None where it says nothing."""
     light = unsaturated_light(observation)
     seen = [f for f in range(len(light)) if observation.delivered[f].all()]
-    emission = {f: find_emission(voxels, light[f], observation.mask[f]) for f in seen}
+    emission = {f: find_compact_emission(voxels, light[f], observation.mask[f]) for f in seen}
     frames = np.array([f for f in seen if emission[f].any()], int)
     if not len(frames):
         return None

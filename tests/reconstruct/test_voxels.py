@@ -7,7 +7,7 @@ import pytest
 
 from gof.core.errors import DataFormatError
 from gof.reconstruct import tomography as tomography_module
-from gof.reconstruct.tomography import round_flame, tomography
+from gof.reconstruct.tomography import find_compact_emission, find_emission, round_flame, tomography
 from gof.reconstruct.voxels import carve, flame_box
 from tests.conftest import arc
 
@@ -143,3 +143,49 @@ def test_parallel_and_disagreeing_cameras_are_named():
     masks[0, 30:] = False
     with pytest.raises(DataFormatError, match="no voxel|behind"):
         carve([a, b], masks[None], 10)
+
+
+# ---- a compact flame -------------------------------------------------------------------------------------------------
+
+
+def two_balls(count, apart=0.5, radius=0.12):
+    """Pictures of two equal balls beside each other across the middle view, and where they are: cameras, masks,
+    lengths (C, H, W), middles (2, 3)."""
+    cameras = arc(count)
+    middles = np.array([[-apart / 2, 0.0, 1.0], [apart / 2, 0.0, 1.0]])
+    seen = [ball(cameras, middle, radius) for middle in middles]
+    return cameras, seen[0][0] | seen[1][0], seen[0][1] + seen[1][1], middles, radius
+
+
+def share_in_balls(voxels, emission, middles, radius):
+    away = np.linalg.norm(voxels.center[:, None] - middles, axis=-1).min(1)
+    return emission[away < radius + voxels.voxel_size].sum() / emission.sum()
+
+
+@pytest.mark.parametrize("count", [2, 3])
+def test_compact_light_is_where_two_balls_are(count):
+    """A round start makes one flame as deep as both are wide; drawn together, light goes back into the balls."""
+    cameras, masks, lengths, middles, radius = two_balls(count)
+    voxels = carve(cameras, masks[None], 40)
+    plain, compact = (f(voxels, lengths, masks) for f in (find_emission, find_compact_emission))
+    assert share_in_balls(voxels, compact, middles, radius) > share_in_balls(voxels, plain, middles, radius) + 0.03
+    assert share_in_balls(voxels, compact, middles, radius) > 0.8
+
+
+def test_compact_light_is_in_the_views_own_unit():
+    """Twice the light is twice the emission, and a frame's emission is that of its pictures, as plain EM has it."""
+    cameras, masks, lengths, _, _ = two_balls(3)
+    voxels = carve(cameras, masks[None], 24)
+    once, twice = (find_compact_emission(voxels, n * lengths, masks) for n in (1, 2))
+    assert twice == pytest.approx(2 * once, rel=1e-9)
+    assert once.sum() == pytest.approx(find_emission(voxels, lengths, masks).sum(), rel=0.05)
+
+
+def test_compact_light_of_nothing_is_nothing():
+    cameras = arc(2)
+    masks, lengths = ball(cameras)
+    voxels = carve(cameras, masks[None], 10)
+    assert (find_compact_emission(voxels, lengths, masks & False) == 0).all()
+    assert (find_compact_emission(voxels, lengths * 0, masks) == 0).all()
+    assert np.isfinite(find_compact_emission(voxels, lengths * 1e-30, masks)).all()
+    assert np.isfinite(find_compact_emission(voxels, lengths * 1e30, masks)).all()
