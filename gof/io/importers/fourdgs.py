@@ -33,7 +33,7 @@ def read(source: Source, options: ImportOptions) -> Imported:
     start_s = options.time_zero_s + (_number(scene.attributes.get(f.START, "0")) if own else 0.0)
     gaussians, notes = scene.gaussians(start_s)
     if not own:
-        notes.append(f"its time 0 taken as {start_s:g} s; its world as the dataset's, unless --align moves it")
+        notes.append(f"its time 0 taken as {start_s:g} s; its world as the dataset's (else gof convert RESULT --align)")
     method = scene.attributes.get(f.SOURCE, "").partition(": ")[0] if own else ""
     return Imported(gaussians, method or "4dgs", source.path, notes)
 
