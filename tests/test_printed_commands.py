@@ -237,7 +237,7 @@ PRINTED_BY = {  # a part of the house: the commands that print its messages
     "gof/io/importers": (),  # every command that takes a result; only `gof convert` has options for it
     "gof/io": ("convert",),
     "gof/evaluate": ("evaluate", "leaderboard"),
-    "gof/look": ("figure compare", "figure modalities", "figure removal", "report", "share", "video", "view"),
+    "gof/look": ("figure compare", "figure modalities", "figure removal", "flow", "report", "share", "video", "view"),
     "gof/dataset": ("pack", "unpack"),
 }
 ANYWHERE = {"--out", "--json", "--quiet", "--verbose", "--overwrite", "--preset", "--dataset", "--help", "--help-all"}

@@ -57,6 +57,7 @@ COMMANDS = {
     ),
     "leaderboard": Command("gof.commands.leaderboard", "evaluated results side by side on one page", "score"),
     "depth": Command("gof.commands.depth", "depth maps of frames, for the scores of depth", "score"),
+    "flow": Command("gof.commands.flow", "motion of every pixel by a result, beside the exact optical flow", "score"),
     "report": Command("gof.commands.report", "pictures, scores and costs of a result on one page", "show"),
     "share": Command("gof.commands.share", "results in one HTML file that plays anywhere", "show"),
     "view": Command("gof.commands.view", "a result in the browser, also while it is being made", "show", False),

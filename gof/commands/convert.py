@@ -27,13 +27,15 @@ class ConvertConfig:
 
     Examples:
       gof convert out/fire/result.npz fire.glb --time 0.15
+      gof convert out/fire/result.npz fire.4dgs --clip 0 0.35
       gof convert out/fire/result.npz frames --frame-time 0.01 --clip 0 0.35
       gof convert chkpnt30000.pth mine.npz --time-unit 0.35 --align sparse/0 --dataset data/fire
       gof convert chkpnt30000.pth --time-unit 0.35
 
     The suffix of OUT chooses: .npz (exact), .ply (3DGS attributes, time and velocity), .ftgs.ply (FreeTimeGS players),
-    .glb (glTF with KHR_gaussian_splatting at one instant, with velocities); .spz and .sog (one instant, compressed); a
-    name without a suffix is a folder of 3DGS PLYs, one for each frame.
+    .4dgs (one small file that moves; prints what that costs in dB and mm/s), .glb (glTF with KHR_gaussian_splatting at
+    one instant, with velocities); .spz and .sog (one instant, compressed); a name without a suffix is a folder of 3DGS
+    PLYs, one for each frame.
 
     Without OUT, what the options say of another method's files is written down beside them, in RESULT.gof.json; every
     command that reads RESULT reads it from there. docs/importers.md says which method needs what.
@@ -48,8 +50,8 @@ class ConvertConfig:
     time: Seconds | None = None
     """The instant in a .glb, .spz or .sog; default: the middle of the Gaussians' times."""
     clip: tuple[Seconds, Seconds] | None = None
-    """First and last second of the clip in an .ftgs.ply (times 0 and 1) or a folder; default: when the first Gaussian
-    appears, and when the last one is gone."""
+    """First and last second of the clip in an .ftgs.ply (times 0 and 1), a .4dgs or a folder; default: when the first
+    Gaussian appears, and when the last one is gone."""
     frame_time: Seconds | None = None
     """From one frame to the next, for results that count frames and for a folder of PLYs."""
     time_unit: Seconds | None = None

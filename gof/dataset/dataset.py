@@ -16,6 +16,7 @@ from gof.core.description import FILE, CameraEntry, DatasetDescription
 from gof.core.errors import DataFormatError
 from gof.core.fields import VelocitySequence
 from gof.core.files import path_in, stamp
+from gof.core.flow import read_flow
 from gof.core.records import to_json
 from gof.footage.pictures import read_picture
 
@@ -164,6 +165,27 @@ class Dataset:
         if self._entry(camera).board_mask is None:
             return None
         return 1 - self._read(self.file(camera, "board_mask"), camera)[..., 0]
+
+    def has_flow(self, camera: int) -> bool:
+        """Return whether the exact motion of a camera's pixels is known (never of a real capture)."""
+        return self._entry(camera).flow is not None
+
+    def true_flow(self, camera: int, frame: int) -> tuple[np.ndarray, np.ndarray]:
+        """Return the exact motion of the flame's pixels, (H, W, 2) px per frame right and down, and their light (H, W).
+
+        Light 0 is where no flame is, and its motion 0. It is that of the frame's nominal time, `times_s`, whatever the
+        shutter.
+
+        Raises:
+            DataFormatError: the dataset does not have it (a real capture, or no `ground_truth: flow` in its spec), or
+                the file is absent, damaged, or of another size than the camera.
+        """
+        path = self.file(camera, "flow", frame)
+        flow, light = read_flow(path)
+        size = (self.cameras[camera].height, self.cameras[camera].width)
+        if light.shape != size:
+            raise DataFormatError(f"{path}: has {light.shape} pixels (height, width), its camera has {size}")
+        return flow, light
 
     @property
     def has_velocity(self) -> bool:

@@ -1,4 +1,4 @@
-"""Any known result to our formats, or to those of other programs: FTGS-PLY, GLB, SPZ, SOG, a sequence of PLYs."""
+"""Any known result to our formats, or to those of other programs: FTGS-PLY, .4dgs, GLB, SPZ, SOG, PLYs in a row."""
 
 from __future__ import annotations
 
@@ -12,9 +12,11 @@ from gof.core.errors import DataFormatError, NonFiniteError
 from gof.core.gaussians import TransientGaussians
 from gof.core.ply import splat_columns, write
 from gof.host.options import require_number
-from gof.io import compressed, gltf
-from gof.io.importers import Imported, gof_files
+from gof.io import compressed, fourdgs, gltf
+from gof.io.importers import Imported, ImportOptions, gof_files, read_result
+from gof.io.kept import what_is_kept
 
+FOURDGS = ".4dgs"
 INSTANT = (".glb", *compressed.SUFFIXES)  # suffixes of formats that hold the state at one time
 
 
@@ -27,15 +29,15 @@ def convert(
     time_s: float | None = None,
     overwrite: bool = False,
 ) -> list[str]:
-    """Write a result by suffix: .npz (exact), .ply (3DGS and time and velocity), .ftgs.ply, .glb, .spz, .sog.
+    """Write a result by suffix: .npz (exact), .ply (3DGS, time, velocity), .ftgs.ply, .4dgs, .glb, .spz, .sog.
 
     A name without a suffix is a folder of 3DGS PLYs, one every `frame_time_s`.
 
     Returns what the format made of it, in words.
 
     Args:
-        start_s, end_s: first and last second of the clip in an .ftgs.ply or a folder of PLYs; default: when the first
-            Gaussian appears and when the last one is gone.
+        start_s, end_s: first and last second of the clip in an .ftgs.ply, a .4dgs or a folder of PLYs; default: when
+            the first Gaussian appears and when the last one is gone.
         frame_time_s: seconds between two frames; with both of the above it tells an .ftgs.ply its number of frames.
         time_s: instant of a .glb, .spz or .sog; default: the middle of the Gaussians' times.
         overwrite: replace a file that is there; a folder never is.
@@ -47,8 +49,8 @@ def convert(
     require_number("--clip", start_s)
     require_number("--clip", end_s)
     require_number("--time", time_s)
-    if (start_s, end_s) != (None, None) and not (out.suffix == "" or out.name.endswith(".ftgs.ply")):
-        raise DataFormatError(f"{out}: --clip means something in .ftgs.ply and folders only; leave it out")
+    if (start_s, end_s) != (None, None) and not (out.suffix in ("", FOURDGS) or out.name.endswith(".ftgs.ply")):
+        raise DataFormatError(f"{out}: --clip means something in .ftgs.ply, .4dgs and folders only; leave it out")
     if time_s is not None and out.suffix not in INSTANT:
         raise DataFormatError(f"{out}: --time means something in {', '.join(INSTANT)} only; leave it out")
     if out.exists() and not (overwrite and out.is_file()):
@@ -75,6 +77,8 @@ def _written(
     if out.name.endswith(".ftgs.ply"):
         return _save_ftgs(gaussians, out, start_s, end_s, frame_time_s)
     source = gof_files.converted(imported.method, imported.path)
+    if out.suffix == FOURDGS:
+        return _save_fourdgs(gaussians, out, *_clip(gaussians, out, start_s, end_s), source)
     if out.suffix in INSTANT:
         return _save_instant(gaussians, out, time_s, source)
     if out.suffix == "":
@@ -99,6 +103,15 @@ def _save_ftgs(
     start_s, end_s = _clip(gaussians, out, start_s, end_s)
     ftgs.save(gaussians, out, start_s, end_s, frames)
     return [*_measured(gaussians), *ftgs.losses(gaussians, start_s, end_s)]
+
+
+def _save_fourdgs(gaussians: TransientGaussians, out: Path, start_s: float, end_s: float, source: str) -> list[str]:
+    """Write a .4dgs, read it again, and say what that cost."""
+    order = fourdgs.save(gaussians, out, start_s, end_s, source)
+    back = read_result(out, ImportOptions()).gaussians
+    sizes = f"{out.stat().st_size:,} bytes, {out.stat().st_size / len(gaussians):.1f} a Gaussian"
+    clock = f"its clock begins at {start_s:g} s and lasts {end_s - start_s:g} s"
+    return [f"{sizes}; {clock}", *fourdgs.losses(gaussians), what_is_kept(gaussians[order], back, start_s, end_s)]
 
 
 def _measured(gaussians: TransientGaussians) -> list[str]:

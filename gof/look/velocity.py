@@ -26,7 +26,7 @@ MIN_ALPHA = 0.15  # below this no arrow is drawn: the mean velocity of almost no
 
 class ScreenVelocity(NamedTuple):
     flow: np.ndarray  # (H, W, 2) px/s, or m/s; opacity-weighted mean along the pixel's ray; 0 where alpha is 0
-    alpha: np.ndarray  # (H, W) in [0, 1)
+    alpha: np.ndarray  # (H, W) in [0, 1), of what is dynamic
 
 
 def living(gaussians: TransientGaussians, time_s: float) -> TransientGaussians:
@@ -42,7 +42,7 @@ def screen_velocity(
     """Render the velocity J v of the gas, as the Gaussians say it, instead of their colour.
 
     Args:
-        gaussians: dynamic Gaussians (N).
+        gaussians: Gaussians (N); static ones hide what is behind them, and count for nothing.
         velocity: (N, 3) m/s to show in place of their own; where they are drawn does not change.
     Returns:
         ScreenVelocity; J is the derivative of the pixel with respect to the world point, at each centre.
@@ -69,14 +69,14 @@ def sideways_velocity(
 def _mean_along_rays(
     gaussians: TransientGaussians, camera: Camera, time_s: float, values: np.ndarray
 ) -> ScreenVelocity:
-    """Return two values (N, 2) of each Gaussian, drawn instead of its colour."""
+    """Return two values (N, 2) of each dynamic Gaussian, drawn instead of its colour."""
     if len(gaussians) == 0:
         return ScreenVelocity(np.zeros((camera.height, camera.width, 2)), np.zeros((camera.height, camera.width)))
     from gof.render import render
 
-    as_colour = np.concatenate([values, np.zeros((len(values), 1))], 1)
+    as_colour = np.concatenate([np.where(gaussians.dynamic[:, None], values, 0), np.zeros((len(values), 1))], 1)
     out = render(replace(gaussians, color=as_colour), camera, time_s)
-    alpha = out["alpha"]
+    alpha = out["dynamic_alpha"]
     seen = alpha > 1e-4
     return ScreenVelocity(
         np.where(seen[..., None], out["color"][..., :2] / np.where(seen, alpha, 1)[..., None], 0), alpha

@@ -15,7 +15,7 @@ import numpy as np
 from gof.core.datum import require_digits
 from gof.core.errors import DataFormatError, GofError
 from gof.core.gaussians import MovingGaussians, TransientGaussians
-from gof.io.importers import freetime, gof_files, paper_code, ply_sequence, refused, spacetime, yang
+from gof.io.importers import fourdgs, freetime, gof_files, paper_code, ply_sequence, refused, spacetime, yang
 from gof.io.importers.sidecar import in_words, with_said
 from gof.io.importers.source import FLAGS, Imported, ImportOptions, Source
 
@@ -27,14 +27,15 @@ METHODS = {
     "freetime": freetime,
     "spacetime": spacetime,
     "ply-sequence": ply_sequence,
+    "4dgs": fourdgs,
     "unreadable": refused,
 }
 
 ROUNDED = 0.1  # of a life or a size, that the float32 of a result may round off
 KNOWN = (
     "results and trajectories of gof (.npz, .ply), checkpoints and PLYs of the paper's code, checkpoints of 4DGS (Yang "
-    "et al.), FreeTimeGS (.pt, canonical_4d.npz, .ftgs.ply), PLYs of SpacetimeGaussians, and folders of 3DGS PLYs "
-    "NAME00000.ply, NAME00001.ply, ..."
+    "et al.), FreeTimeGS (.pt, canonical_4d.npz, .ftgs.ply), PLYs of SpacetimeGaussians, .4dgs, and folders of 3DGS "
+    "PLYs NAME00000.ply, NAME00001.ply, ..."
 )
 
 __all__ = ["METHODS", "ImportOptions", "Imported", "Source", "detect", "read_result"]
@@ -88,7 +89,7 @@ def read_result(path: str | Path, options: ImportOptions | None = None) -> Impor
         imported = replace(METHODS[name].read(source, options), flame_only=options.flame_only)
         if said is not None:
             imported.notes.append(in_words(said, options))
-        if imported.method == "gof" and (method := gof_files.converted_from(source)) in METHODS:
+        if name == imported.method == "gof" and (method := gof_files.converted_from(source)) in METHODS:
             imported = replace(imported, method=method)
         _require_digits(imported.gaussians)
         return imported
