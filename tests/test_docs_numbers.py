@@ -158,6 +158,7 @@ NOT_AT_TOY_SIZE = {
     "rise_speed": "so few pixels and frames have no bright structures that climb",
     "share_player": "needs Chromium",
     "static_depth": "needs Blender's depth",
+    "tomography": "needs the true light of a generated dataset",
 }
 
 

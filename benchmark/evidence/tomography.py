@@ -1,6 +1,6 @@
 """How near tomography of a few views comes to the true light, voxel by voxel, and what each of its choices is worth.
 
-    python -m gof_benchmark.evidence.tomography DATASET ...
+    python -m gof_benchmark.evidence.tomography DATASET...
 
 Datasets with grids/flame.zarr. A handful of frames of each; no Gaussian is fitted. Columns: cosine and relative L2 of
 emission per voxel, extent along the middle camera's view over extent across it (result / truth), and the share of light
@@ -9,13 +9,14 @@ where the truth has less than a hundredth of its brightest. Choices were made on
 
 from __future__ import annotations
 
-import argparse
 from collections.abc import Callable
+from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
+import tyro
 from scipy.ndimage import gaussian_filter, map_coordinates
 
 from gof.dataset import Dataset
@@ -34,11 +35,17 @@ BLUR = 0.4  # of a voxel, std-dev by which the truth is blurred before it is sam
 Find = Callable[[FlameVoxels, np.ndarray, np.ndarray], np.ndarray]
 
 
-def main() -> None:
+@dataclass
+class TomographyConfig:
+    """Compare emission by tomography with the true light. Prints a table."""
+
+    datasets: tyro.conf.Positional[tuple[Path, ...]]
+    """Dataset folders with true light."""
+
+
+def main(argv: list[str] | None = None) -> None:
     """Print a row per choice and dataset, and the mean over datasets."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("datasets", nargs="+", type=Path)
-    options = parser.parse_args()
+    options = tyro.cli(TomographyConfig, prog="python -m gof_benchmark.evidence.tomography", args=argv)
     cases = [read_case(folder) for folder in options.datasets]
     print("| choice | dataset | cosine | relative L2 | smear | outside |\n|---|---|---|---|---|---|")
     for label, find in CHOICES.items():

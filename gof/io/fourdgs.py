@@ -16,7 +16,6 @@ from pathlib import Path
 
 import numpy as np
 
-from gof import __version__
 from gof.core.errors import DataFormatError
 from gof.core.files import write_bytes
 from gof.core.gaussians import TransientGaussians
@@ -123,7 +122,7 @@ def save(gaussians: TransientGaussians, path: Path, start_s: float, end_s: float
     head = b"".join([
         MAGIC,
         record(HEADER, b"".join([
-            text("baked"), text(f"{LIBRARY} {__version__}"), struct.pack("<dQd", duration_s, len(g), CUTOFF),
+            text("baked"), text(LIBRARY), struct.pack("<dQd", duration_s, len(g), CUTOFF),
             text("gaussian-birth"), struct.pack("<6dBB", *low, *high, max(bands, default=0), 0), texts(facts),
         ])),
         record(QUANTIZATION, b"".join([
