@@ -77,7 +77,7 @@ def test_study_explains_and_names_every_study():
         one = run("study", name, "--help")
         assert one.returncode == 0 and f"usage: gof study {name}" in one.stdout
     wrong = run("study", "speed")
-    assert wrong.returncode == 1 and "no study 'speed'" in wrong.stderr and "gof study --help" in wrong.stderr
+    assert wrong.returncode == 2 and "no part 'speed'" in wrong.stderr and "gof study --help" in wrong.stderr
 
 
 def test_a_broken_machine_is_named(monkeypatch, capsys):

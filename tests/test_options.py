@@ -54,6 +54,7 @@ WRONG = {  # command and what it needs, by option: values that it cannot have
         "--fov": (*NO, "180"),
         "--marker-mm": NO,
         "--baseline-m": NO,
+        "--flame-height-m": NO,
         "--max-size": ("-1", "0"),
         "--plates": ("steady:0", "minimum:x"),
         "--frames": ("-1", "0"),

@@ -13,8 +13,8 @@ from pathlib import Path
 
 import numpy as np
 
-from gof.core.errors import DataFormatError, GofError
-from gof.core.files import write_bytes
+from .errors import DataFormatError, GofError
+from .files import write_bytes
 
 MAGIC = b"\x76\x2f\x31\x01"
 LINES = {0: 1, 2: 1, 3: 16}  # of a block, by compression: none, ZIPS, ZIP

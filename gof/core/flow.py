@@ -12,9 +12,9 @@ from pathlib import Path
 
 import numpy as np
 
-from gof.core.errors import DataFormatError, GofError, require_finite
-from gof.core.exr import read_exr, write_exr
-from gof.core.files import write_bytes
+from .errors import DataFormatError, GofError, require_finite
+from .exr import read_exr, write_exr
+from .files import write_bytes
 
 CHANNELS = ("flow.X", "flow.Y", "weight")  # in pixels per frame; the generator writes the true flow so
 FLO_MAGIC, FLO_UNKNOWN = b"PIEH", 1e10  # Middlebury's; above 1e9 is unknown

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import shutil
-import subprocess
 from pathlib import Path
+from subprocess import PIPE
 
 import numpy as np
 
 from gof.core.errors import GofError
+from gof.host.processes import run
 
 RATE = 16_000  # samples per second that are read: a clap and a fire's crackle lie below 8 kHz
 
@@ -27,7 +28,7 @@ def read_sound(path: Path) -> np.ndarray:
         raise NoSound("the program ffmpeg, which decodes sound, is not on this machine's PATH")
     command = [program, "-v", "error", "-nostdin", "-i", str(path.absolute()), "-vn", "-ac", "1"]
     command += ["-af", "aresample=async=1:first_pts=0", "-ar", str(RATE), "-f", "f32le", "-"]
-    done = subprocess.run(command, capture_output=True)
+    done = run(command, stdout=PIPE, stderr=PIPE)
     sound = np.frombuffer(done.stdout[: len(done.stdout) // 4 * 4], "<f4")
     if done.returncode or not sound.any():
         raise NoSound(f"{path.name}: has no sound, or a silent one")

@@ -16,7 +16,8 @@ from gof.core.fields import VelocitySequence
 from gof.core.fire import FireDescription, Hearth
 from gof.core.gaussians import TransientGaussians
 from gof.dataset import Dataset
-from gof.evaluate.emission import FlameGrid, score_on_emission
+from gof.evaluate.emission import FlameGrid
+from gof.evaluate.eve import score_eve
 from gof_benchmark.commands import generate
 from gof_benchmark.generator.blender_process import run_stage
 from gof_benchmark.scenes import claim, load_scene
@@ -166,10 +167,10 @@ def test_gaussians_with_the_true_velocity_have_no_error(puff):
         drawn = grid.places(frame / 100, 4000, np.random.default_rng(0))
         np.testing.assert_allclose(drawn.mean(0), centre(STEP_S + frame / 100), atol=0.004)
         assert drawn.std(0) == pytest.approx(SIGMA_M, rel=0.05)
-    found = score_on_emission(one, dataset.velocity, grid, dataset.times_s[[0, 2]])
-    assert found.score.l2 < 1e-5 and found.score.cos_sim > 0.9999 and found.uncovered == 0
-    wrong = score_on_emission(replace(one, velocity=-one.velocity), dataset.velocity, grid, dataset.times_s[[0]])
-    assert wrong.score.l2 > 1.9
+    found = score_eve(one, dataset.velocity, grid, dataset.times_s[[0, 2]])
+    assert found.pooled.l2 < 1e-5 and found.pooled.cos_sim > 0.9999 and found.empty == 0
+    wrong = score_eve(replace(one, velocity=-one.velocity), dataset.velocity, grid, dataset.times_s[[0]])
+    assert wrong.pooled.l2 > 1.9
 
 
 @pytest.mark.blender

@@ -274,7 +274,7 @@ def test_footage_errors(tmp_path):
     with pytest.raises(DataFormatError, match="between 0 and 180"):
         Lens.from_fov(6, 4, 180)
     with pytest.raises(GofError, match="at least one camera"):
-        Footage((), ())
+        Footage((), (), ())
     with pytest.raises(GofError, match=r"--cameras FILE or --fov"):
         Footage.open([tmp_path / "empty"] * 2, "none", None, None)
 

@@ -77,7 +77,7 @@ def test_measured_clock_pairs_nearest_frames(tmp_path):
     np.testing.assert_allclose(starts, [0, -1e-3, 0.7e-3], atol=1e-9)
     np.testing.assert_allclose(np.diff(times.time_s[2]), 2.5e-3, atol=1e-9)
     assert times.row_time_s == pytest.approx([4e-6] * 3) and times.readout == ["left"] * 3
-    turned = {turn: times.turned(turn).readout[0] for turn in ("clockwise", "counterclockwise", "half")}
+    turned = {turn: times.turned((turn,) * 3).readout[0] for turn in ("clockwise", "counterclockwise", "half")}
     assert turned == {"clockwise": "up", "counterclockwise": "down", "half": "right"} and times.notes == ()
 
 
