@@ -24,7 +24,7 @@ RANKED = ("eve_l2", "eve_cos", "psnr_flame", "ssim_flame")  # figures that every
 PRINTED = (
     "l2",
     "cos_sim",
-)  # the paper's, which every frame has too: shown with their intervals, ranked only where no scene has true light
+)  # the paper's, which every frame has too: shown with their intervals, ranked only where a scene has no true light
 TRIVIAL = "trivial: "  # before a trivial baseline's name
 SHOWN = ("zero", "constant", "height_mean", "true_centre")
 WITHOUT_STRUCTURE = ("zero", "constant", "height_mean")  # fluctuation: L2 1, CosSim 0, by definition
@@ -196,9 +196,10 @@ def _numbers(part: Any, name: str = "") -> Iterator[tuple[str, float]]:
 
 
 def ranked_in(scenes: Sequence[ScoredScene]) -> tuple[str, ...]:
-    """Return the figures that rank in scenes: the paper's own velocities where none of them has true light."""
-    lit = any(
-        run.scores.dve is not None and run.scores.dve.eve for s in scenes for runs in s.runs.values() for run in runs
+    """Return the figures that rank in scenes: the paper's own velocities where not all of them have true light."""
+    lit = all(
+        any(run.scores.dve is not None and run.scores.dve.eve for runs in scene.runs.values() for run in runs)
+        for scene in scenes
     )
     return RANKED if lit else (*PRINTED, *RANKED[len(PRINTED) :])
 

@@ -43,11 +43,7 @@ def find_emission(
     Returns:
         (V,) float64 >= 0, in one unit for all frames of a clip; 0 outside the frame's hull; all 0 for an empty mask.
     """
-    hit = voxels.sample(mask.astype(np.int8), outside=-1)
-    hull = (hit != 0).all(0) & (hit == 1).any(0)
-    if not hull.any():
-        return np.zeros(len(hull))
-    views = _pooled_views(voxels, intensity, hit == 1)
+    hull, views = _hull_and_views(voxels, intensity, mask)
     emission = _maximise(hull.astype(np.float64), views, iterations)
     if rounded and emission.any():
         emission = _maximise(hull * round_flame(voxels, emission), views, iterations)
@@ -72,11 +68,7 @@ def find_compact_emission(
 
     Args and returns: as `find_emission`; smooth, power, wider: see above.
     """
-    hit = voxels.sample(mask.astype(np.int8), outside=-1)
-    hull = (hit != 0).all(0) & (hit == 1).any(0)
-    if not hull.any():
-        return np.zeros(len(hull))
-    views = _pooled_views(voxels, intensity, hit == 1)
+    hull, views = _hull_and_views(voxels, intensity, mask)
     emission = _maximise(hull.astype(np.float64), views, iterations)
     if not emission.any():
         return emission
@@ -86,6 +78,14 @@ def find_compact_emission(
         grid[cells] = _maximise(emission, views, 1) ** power
         emission = hull * gaussian_filter(grid, smooth, mode="constant")[cells]
     return _in_unit(emission, views)
+
+
+def _hull_and_views(
+    voxels: FlameVoxels, intensity: np.ndarray, mask: np.ndarray
+) -> tuple[np.ndarray, list[_PooledView]]:
+    """(V,) bool, voxels that the frame's masks leave standing, and the frame's pooled views."""
+    hit = voxels.sample(mask.astype(np.int8), outside=-1)
+    return (hit != 0).all(0) & (hit == 1).any(0), _pooled_views(voxels, intensity, hit == 1)
 
 
 def _in_unit(emission: np.ndarray, views: list[_PooledView]) -> np.ndarray:
