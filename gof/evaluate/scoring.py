@@ -94,39 +94,8 @@ def evaluate(
     made_from = None if own is None else MadeFrom.read(own if own.is_dir() else own.parent)
     figures: dict[str, Any] = {}
     if dataset.has_velocity:
-        with timed(costs, "dve"):
-            truth, flame = dataset.velocity, flame_grid(dataset.path, dataset.datum)
-            sequence = dve_sequence(
-                gaussians, truth, _scored_times(truth, dataset), order, opacity, progress=partial(progress, stage="DVE")
-            )
-            times_s = np.array(sequence.times_s)
-        eve, gradients = None, None
-        if flame is None:
-            warnings.append(NO_LIGHT)
-        else:
-            with timed(costs, "eve"):
-                eve = score_eve(gaussians, truth, flame, times_s, progress=partial(progress, stage="EVE"))
-            with timed(costs, "light"):
-                middle = dataset.cameras[len(dataset.cameras) // 2].world_to_camera[2, :3]
-                found = score_light(gaussians, flame, times_s, middle, partial(progress, stage="light"))
-                figures["light"] = None if found is None else LightScore(**asdict(found))
-            with timed(costs, "gradients"):
-                gradients = score_gradients(
-                    gaussians, truth, flame, times_s, progress=partial(progress, stage="gradients")
-                )
-        with timed(costs, "quadrature"):
-            settled = settle(gaussians, truth, sequence.probed, sequence.pooled, order)
-        motion = Agreement.of(against_motion(gaussians, sequence.probed))
-        figures["dve"] = replace(
-            _velocity_score(sequence, dataset.datum.time_s, order, opacity, eve, gradients),
-            settled=settled,
-            motion=motion,
-        )
-        figures["trivial_baselines"] = {
-            name: _trivial_score(name, trivial_baseline)
-            for name, trivial_baseline in sequence.trivial_baselines.items()
-        }
-        warnings += sanity_warnings(sequence)
+        figures, said = _score_motion(gaussians, dataset, order, opacity, costs, progress)
+        warnings += said
     else:
         warnings.append("the dataset has no true velocity field, so there is no DVE")
     warnings += _leak_warnings(made_from, dataset.test_frames)
@@ -246,6 +215,44 @@ def _partly(gaussians: MovingGaussians, known: np.ndarray, held_out: list[int]) 
 
 
 # ---------------------------------------------------------------- its velocities
+
+
+def _score_motion(
+    gaussians: MovingGaussians,
+    dataset: Dataset,
+    order: int,
+    opacity: Opacity,
+    costs: dict[str, float],
+    progress: Progress,
+) -> tuple[dict[str, Any], list[str]]:
+    """Return what the true grids judge, as fields of `Scores`, and warnings: velocities, and light in space."""
+    truth, flame = dataset.velocity, flame_grid(dataset.path, dataset.datum)
+    with timed(costs, "dve"):
+        times_s = _scored_times(truth, dataset)
+        sequence = dve_sequence(gaussians, truth, times_s, order, opacity, progress=partial(progress, stage="DVE"))
+        times_s = np.array(sequence.times_s)
+    figures: dict[str, Any] = {}
+    eve, gradients = None, None
+    if flame is not None:
+        with timed(costs, "eve"):
+            eve = score_eve(gaussians, truth, flame, times_s, progress=partial(progress, stage="EVE"))
+        with timed(costs, "light"):
+            middle = dataset.cameras[len(dataset.cameras) // 2].world_to_camera[2, :3]
+            light = score_light(gaussians, flame, times_s, middle, partial(progress, stage="light"))
+            figures["light"] = None if light is None else LightScore(**asdict(light))
+        with timed(costs, "gradients"):
+            gradients = score_gradients(gaussians, truth, flame, times_s, progress=partial(progress, stage="gradients"))
+    with timed(costs, "quadrature"):
+        settled = settle(gaussians, truth, sequence.probed, sequence.pooled, order)
+    figures["dve"] = replace(
+        _velocity_score(sequence, dataset.datum.time_s, order, opacity, eve, gradients),
+        settled=settled,
+        motion=Agreement.of(against_motion(gaussians, sequence.probed)),
+    )
+    figures["trivial_baselines"] = {
+        name: _trivial_score(name, trivial_baseline) for name, trivial_baseline in sequence.trivial_baselines.items()
+    }
+    return figures, [NO_LIGHT] * (flame is None) + sanity_warnings(sequence)
 
 
 def _scored_times(truth: VelocitySequence, dataset: Dataset) -> np.ndarray:
