@@ -15,6 +15,7 @@ PAGES = [
     ROOT / "README.md",
     ROOT / "CONTRIBUTING.md",
     *sorted((ROOT / "docs").rglob("*.md")),
+    *sorted((ROOT / "notebook").glob("*.md")),
     *sorted((ROOT / "benchmark").glob("*/README.md")),
     *sorted((ROOT / "benchmark/scenes").glob("*/README.md")),
     ROOT / "firmware/README.md",
@@ -57,19 +58,19 @@ def test_pictures_are_shown_somewhere():
 
 
 REVIEWS = {
-    "reliability_measured": [
+    "reliability": [
         *(f"H{n}" for n in range(1, 5)),
         *(f"M{n}" for n in range(1, 9)),
         *(f"L{n}" for n in range(1, 11)),
     ],
-    "importers_measured": [str(n) for n in range(1, 20)],
+    "importers": [str(n) for n in range(1, 20)],
 }
 
 
 @pytest.mark.parametrize("page", REVIEWS)
 def test_every_defect_of_the_reviews_has_its_row(page):
     """With its tests, whose existence is asked for above, or in words why there is none; and the commit."""
-    lines = (ROOT / f"docs/{page}.md").read_text().splitlines()
+    lines = (ROOT / f"notebook/{page}.md").read_text().splitlines()
     start = next(i for i, line in enumerate(lines) if line.startswith("| no. |"))
     rows = []
     for line in lines[start + 2 :]:
@@ -90,7 +91,7 @@ def test_every_defect_of_the_reviews_has_its_row(page):
 def test_every_finding_about_the_addon_has_its_row():
     """All nineteen, each with a test that `test_what_a_page_names_exists` finds, or words alone."""
     found = re.findall(
-        r"^\| (\d+) \| (.+) \| (.+) \| (.+) \|$", (ROOT / "docs/addon_measured.md").read_text(), re.MULTILINE
+        r"^\| (\d+) \| (.+) \| (.+) \| (.+) \|$", (ROOT / "notebook/addon.md").read_text(), re.MULTILINE
     )
     assert [int(number) for number, *_ in found] == list(range(1, 20))
     assert all(re.search(r"`test_\w+(\.py)?`", holds) or holds == "(words)" for *_, holds in found)

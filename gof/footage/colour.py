@@ -5,7 +5,7 @@ colour differences and read by the matrix, the curve and the primaries that the 
 curves, become light on a screen (Rec. ITU-R BT.2100); its 203 cd/m2 are the white of SDR (BT.2408), what is brighter is
 rolled off below that white, and Rec. 2020 becomes Rec. 709.
 
-OpenCV gives 8 bits per channel, as many as the pictures that are stored have; docs/ingest_measured.md compares.
+OpenCV gives 8 bits per channel, as many as the pictures that are stored have; notebook/ingest.md compares.
 """
 
 from __future__ import annotations
@@ -115,7 +115,7 @@ def display_values(colour: Colour, code: np.ndarray) -> np.ndarray:
     return np.where(light <= 0.0031308, 12.92 * light, 1.055 * light ** (1 / 2.4) - 0.055)
 
 
-GREEN_LOW = 1.2  # levels by which OpenCV's FFmpeg gives green too low for films of 10 bits (docs/ingest_measured.md)
+GREEN_LOW = 1.2  # levels by which OpenCV's FFmpeg gives green too low for films of 10 bits (notebook/ingest.md)
 NOT_YET = np.uint32(0xFFFFFFFF)
 
 

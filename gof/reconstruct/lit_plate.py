@@ -1,7 +1,7 @@
 """The fire-free plate in the fire's own light.
 
 A fire lights its surroundings. Without that light in the plate, fat faint Gaussians paint it in front of walls and
-floor, where no gas moves; they spoil the motion and the pictures around the flame (docs/choices.md has the
+floor, where no gas moves; they spoil the motion and the pictures around the flame (notebook/choices.md has the
 figures).
 """
 

@@ -74,7 +74,7 @@ class Rates:
 
 @dataclass(frozen=True)
 class Method:
-    """The choices in which ours and the paper's method differ; what each is worth is in docs/choices.md.
+    """The choices in which ours and the paper's method differ; what each is worth is in notebook/choices.md.
 
     Attributes:
         scene: what the flame is drawn in where nobody says otherwise.
