@@ -64,7 +64,7 @@ ROWS: dict[str, Method] = {
     "seeds of opacity 0.4": _seeding(opacity=PAPER.seeding.opacity),
     "whole pictures": replace(OURS, windows=False),
     "Gaussians cloned, split and pruned": replace(OURS, density_control=True, windows=False),
-    "colours without bounds": replace(OURS, bounded_color=False),
+    "colours of any brightness": replace(OURS, color_of_light=False),
     "over their own plates alone": replace(OURS, other_plates=0.0),
     "nothing holds what no camera sees": replace(OURS, unseen=0.0),
     "one velocity for gas and light": _one_velocity(1),

@@ -87,7 +87,7 @@ class DensityControl:
         both = TransientGaussians.concatenate([old[kept], born])
         order = morton_order(both.position)  # neighbours in space side by side in memory: speed only
         names = per_gaussian(optimizer)
-        raw = to_raw(born, *self._units, bounded_color="color_logit" in names) if len(born) else {}
+        raw = to_raw(born, *self._units, color_of_light="color_logit" in names) if len(born) else {}
         optimizer.regroup(names, kept, raw, order)
 
 

@@ -92,7 +92,7 @@ class Method:
             what the fused flow says of the place where it ends (`gas`); else one for both, which the pictures move.
         windows: only the part of a picture in which the flame can be is drawn and learned from (`windows`); else all.
         density_control: Gaussians are cloned, split and pruned along the way (`density`).
-        bounded_color: colours stay within [0, 1] (`parameters`).
+        color_of_light: the brightest channel of a flame Gaussian is 1 (`parameters`); else colours are free.
         other_plates: weight of the flame over plates that were not filmed (`optimize.over_plain`); 0 = none.
         unseen: weight of views from where no camera stood, as tomography has them (`unseen`); 0 = none.
     """
@@ -110,7 +110,7 @@ class Method:
     gas_apart: bool
     windows: bool
     density_control: bool
-    bounded_color: bool
+    color_of_light: bool
     other_plates: float
     unseen: float
     seeding: Seeding
@@ -131,7 +131,7 @@ OURS = Method(
     gas_apart=True,
     windows=True,
     density_control=False,  # tried, not kept
-    bounded_color=True,
+    color_of_light=True,
     other_plates=0.3,
     unseen=0.5,
     seeding=Seeding(by_emission=True, short_lives=True, opacity=0.1, scale=0.7, seen_color=True),
@@ -167,7 +167,7 @@ PAPER = Method(
     gas_apart=False,  # "Dynamic Scene": a velocity each
     windows=False,  # its density control counts on the mean over whole pictures
     density_control=True,  # "densification was left as in the original implementation"
-    bounded_color=False,  # 3DGS' coefficients
+    color_of_light=False,  # 3DGS' coefficients
     other_plates=0.0,
     unseen=0.0,
     seeding=Seeding(

@@ -54,7 +54,7 @@ class Schedule:
     rates: Rates
     gas_apart: bool  # see `gof.reconstruct.methods.Method`, as the next two
     density_control: bool = False
-    bounded_color: bool = True
+    color_of_light: bool = True
     alpha_loss: float = 0.1
     other_plates: float = 0.0
     unseen: float = 0.0
@@ -67,7 +67,7 @@ class Schedule:
         The position's falls exponentially from the first to the last step, the others from `Rates.held` on.
         """
         rates, falls = self.rates, 1.0
-        color = ("color_logit", rates.color / STEEPEST) if self.bounded_color else ("color", rates.color)
+        color = ("color_logit", rates.color / STEEPEST) if self.color_of_light else ("color", rates.color)
         first, last = rates.position
         if rates.held is not None and step > rates.held:
             falls = LAST_SHARE ** ((step - rates.held) / max(self.iterations - rates.held, 1))
@@ -200,7 +200,7 @@ class Flame:
         self._kept = {"datum": seeds.datum} | ({} if schedule.density_control else known)
         self.start_s = float(self.read_s.min())
         plates = surroundings.unknowns()
-        raw = to_raw(seeds, self.voxel_size, self.start_s, schedule.bounded_color) | plates
+        raw = to_raw(seeds, self.voxel_size, self.start_s, schedule.color_of_light) | plates
         rates = schedule.raw_rates(units) | dict.fromkeys(plates, schedule.rates.plate)
         # The loss is a mean over pixels, so gradients are tiny: epsilon must not be what sets the step.
         self.optimizer = Adam(lr=1.0, params=raw, beta_2=schedule.rates.beta_2, epsilon=1e-15, mask_updates=True)

@@ -1,9 +1,13 @@
 """Transient Gaussians as numbers without bounds, which an optimiser may move freely, and back.
 
 Raw parameters: "x0", "velocity" as they are; "t_mu" after the clip's start; "log_t_sigma"; the logits "opacity" and
-"scale" (between 0.1 and 3 voxels); "rotation", a quaternion of any length; and of the colour either its logits,
-"color_logit", or "color", as it is. Without a bound, what one Gaussian shines too much another one behind it takes away
-again, and from the side both are seen; and no file format and no screen can show it.
+"scale" (between 0.1 and 3 voxels); "rotation", a quaternion of any length; and of the colour either "color", as it is,
+or its logits, "color_logit".
+
+A colour of logits is divided by its brightest channel, which then is 1: a Gaussian hides no more than it shines, as
+fire does, and a fainter one is a thinner one. A colour that is free to be dark hides the light behind it
+where the given cameras look, and what is hidden may be anything; one without a bound shines too much where another one
+takes it away again. Both are seen from the side.
 """
 
 from __future__ import annotations
@@ -23,6 +27,7 @@ from gof.render.rasterizer import MIN_ALPHA
 from gof.render.scene import columns
 
 OPACITY_EPS = 1e-4  # logits stay finite
+BLACK = 1e-7  # a brightest channel below it, whose logit is below -16, is not divided by
 FAINTEST = 0.99 * MIN_ALPHA  # what is fainter is not drawn, however its opacity is rounded
 PLATE = "plate_"  # and the camera's number: raw parameters of a plate
 GROUP = 16  # rows: a cache line of each column
@@ -39,14 +44,14 @@ def rows(x: Array3f | Array4f | Float) -> np.ndarray:
 
 
 def to_raw(
-    gaussians: TransientGaussians, voxel_size: float, start_s: float, bounded_color: bool = True
+    gaussians: TransientGaussians, voxel_size: float, start_s: float, color_of_light: bool = True
 ) -> dict[str, Any]:
     """Return the raw parameters of Gaussians.
 
     Args:
-        voxel_size: m.   start_s: of the clip, s.   bounded_color: whether colours stay within (0, 1).
+        voxel_size: m.   start_s: of the clip, s.   color_of_light: whether the brightest channel is 1.
     """
-    color = {"color_logit": _logit(gaussians.color)} if bounded_color else {"color": gaussians.color}
+    color = {"color_logit": _logit(gaussians.color)} if color_of_light else {"color": gaussians.color}
     scale = (gaussians.scale / voxel_size - SCALE_MIN) / (SCALE_MAX - SCALE_MIN)
     return {
         "x0": columns(gaussians.position, Array3f),
@@ -118,7 +123,10 @@ def _scale(raw: Raw, voxel_size: float) -> Array3f:
 
 
 def _color(raw: Raw) -> Array3f:
-    return raw["color"] if "color" in raw else _sigmoid(raw["color_logit"])
+    if "color" in raw:
+        return raw["color"]
+    color = _sigmoid(raw["color_logit"])
+    return color / dr.maximum(dr.maximum(dr.maximum(color.x, color.y), color.z), BLACK)
 
 
 def _sigmoid(x: Float) -> Float:

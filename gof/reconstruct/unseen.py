@@ -70,15 +70,26 @@ class UnseenViews:
         return self.view(int(row[0]), int(rng.integers(len(self.cameras)))) if len(row) else None
 
 
-def imagine_views(voxels: FlameVoxels, observation: Observation) -> UnseenViews | None:
-    """Return what tomography of the training frames says of the views all around; None where it says nothing."""
+def find_compact_flame(voxels: FlameVoxels, observation: Observation) -> np.ndarray:
+    """Return (F, V) emission >= 0 of a clip's frames by `find_compact_emission`, of their unsaturated light; 0 in
+    frames that a camera did not take."""
     light = unsaturated_light(observation)
-    seen = [f for f in range(len(light)) if observation.delivered[f].all()]
-    emission = {f: find_compact_emission(voxels, light[f], observation.mask[f]) for f in seen}
-    frames = np.array([f for f in seen if emission[f].any()], int)
+    taken = observation.delivered.all(1)
+    nothing = np.zeros(len(voxels.center))
+    return np.stack(
+        [
+            find_compact_emission(voxels, light[f], observation.mask[f]) if taken[f] else nothing
+            for f in range(len(light))
+        ]
+    )
+
+
+def imagine_views(voxels: FlameVoxels, emission: np.ndarray, observation: Observation) -> UnseenViews | None:
+    """Return how a clip's emission (F, V) of `find_compact_flame` looks from all around; None where it is dark."""
+    frames = np.flatnonzero(emission.any(1))
     if not len(frames):
         return None
-    shining = np.stack([emission[f] for f in frames], 1)
+    shining = emission[frames].T
     levels, curve = _light_by_thickness(voxels, shining, observation, frames)
     cameras = cameras_around(voxels, observation.cameras)
     thickness = np.stack([_thickness(voxels, shining, camera) for camera in cameras], 1)

@@ -22,7 +22,7 @@ def test_rates_are_held_and_then_fall_to_a_tenth():
     short = Schedule(2500, OURS.rates, gas_apart=True)
     color = short.raw_rates(UNITS, 2499)["color_logit"]  # a fourth of it is the step of a middle grey
     assert color / 4 == OURS.rates.color, "a run as long as preview's has no fall"
-    assert replace(short, bounded_color=False).raw_rates(UNITS)["color"] == OURS.rates.color
+    assert replace(short, color_of_light=False).raw_rates(UNITS)["color"] == OURS.rates.color
     middle, last = (schedule.raw_rates(UNITS, step)["x0"] for step in (11_250, 22_500))
     assert first["x0"] == pytest.approx(0.003) and last == pytest.approx(0.0003)
     assert middle == pytest.approx((first["x0"] * last) ** 0.5)

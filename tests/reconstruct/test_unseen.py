@@ -10,7 +10,7 @@ from gof.reconstruct.observation import Observation
 from gof.reconstruct.optimize import light_and_smoke, over_plain
 from gof.reconstruct.parameters import from_raw, splats, to_raw
 from gof.reconstruct.surroundings import Plates, StillScene
-from gof.reconstruct.unseen import OFTEN, cameras_around, imagine_views, unsaturated_light
+from gof.reconstruct.unseen import OFTEN, cameras_around, find_compact_flame, imagine_views, unsaturated_light
 from gof.reconstruct.voxels import carve
 from gof.render import render, render_splats
 from gof.render.backend import Float, opaque
@@ -53,6 +53,10 @@ def observation(thickness, cameras, color, plate=0.02, delivered=True):
     )
 
 
+def imagined(voxels, observed):
+    return imagine_views(voxels, find_compact_flame(voxels, observed), observed)
+
+
 def ball_observation(color=(3.0, 1.0, 0.05), frames=2, **kwargs):
     """A ball of even fire, by exact path lengths (m), seen by three cameras; and its voxels."""
     cameras = arc(3)
@@ -63,7 +67,7 @@ def ball_observation(color=(3.0, 1.0, 0.05), frames=2, **kwargs):
 
 def test_a_ball_is_a_ball_from_everywhere():
     observed, voxels = ball_observation()
-    views = imagine_views(voxels, observed)
+    views = imagined(voxels, observed)
     assert views.thickness.shape[:2] == (2, len(views.cameras)) and views.time_s.tolist() == pytest.approx([0.1, 0.11])
     for v, camera in enumerate(views.cameras):
         _, lengths = ball([camera], MIDDLE, RADIUS)
@@ -126,21 +130,21 @@ def test_white_pictures_and_white_plates_are_finite():
     for image, plate in ((1.0, 0.0), (1.0, 1.0), (0.0, 1.0), (0.0, 0.0)):
         dull = replace(observed, image=np.full_like(observed.image, image), plate=np.full_like(observed.plate, plate))
         assert np.isfinite(unsaturated_light(dull)).all()
-        views = imagine_views(voxels, dull)
+        views = imagined(voxels, dull)
         assert views is None or np.isfinite(views.view(0, 0).light).all()
 
 
 def test_frames_that_a_camera_did_not_take_are_left_out():
     observed, voxels = ball_observation(frames=3)
     observed.delivered[1, 2] = False
-    views = imagine_views(voxels, observed)
+    views = imagined(voxels, observed)
     assert views.time_s.tolist() == pytest.approx([0.1, 0.12])
     rng = np.random.default_rng(0)
     assert [view and view.time_s for view in (views.choose(f, rng) for f in range(3))] == pytest.approx(
         [0.1, None, 0.12]
     )
     observed.delivered[:] = False
-    assert imagine_views(voxels, observed) is None
+    assert imagined(voxels, observed) is None
 
 
 # ---------------------------------------------------------------- over other plates
@@ -180,34 +184,39 @@ def test_fire_adds_light_and_smoke_takes_a_share():
         assert np.isfinite([p.numpy()[0] for p in over_plain(light, plain)]).all() and (light >= -1).all()
 
 
-# ---------------------------------------------------------------- colours that every screen can show
+# ---------------------------------------------------------------- colours of light
 
 
 def colored(color):
     return replace(cloud(0.0, n=len(color)), color=np.array(color, np.float32), dynamic=np.ones(len(color), bool))
 
 
-def test_colors_come_back_and_stay_in_range():
-    color = [[0.1, 0.5, 0.9], [0.0, 1.0, 0.3], [-0.2, 1.3, 0.5]]
+def test_colors_keep_their_hue_and_the_brightest_channel_is_1():
+    color = [[0.1, 0.5, 0.9], [0.02, 1.0, 0.3], [-0.2, 1.3, 0.65], [0.0, 0.0, 0.0]]
     raw = to_raw(colored(color), 0.1, 0.0)
-    np.testing.assert_allclose(from_raw(raw, 0.1, 0.0).color, np.clip(color, 0, 1), atol=2e-4)
-    raw["color_logit"] = type(raw["color_logit"])(*[1e4 * (c - 0.5) for c in raw["color_logit"]])
-    far = from_raw(raw, 0.1, 0.0).color
-    assert np.isfinite(far).all() and (far >= 0).all() and (far <= 1).all()
-    free = from_raw(to_raw(colored(color), 0.1, 0.0, bounded_color=False), 0.1, 0.0)
+    hue = [[1 / 9, 5 / 9, 1], [0.02, 1, 0.3], [0, 1, 0.65], [1, 1, 1]]  # a display shows none above 1
+    np.testing.assert_allclose(from_raw(raw, 0.1, 0.0).color, hue, atol=2e-3)
+    for far in (1e4, 1e30):
+        raw["color_logit"] = type(raw["color_logit"])(*[far * (c - 0.5) for c in raw["color_logit"]])
+        found = from_raw(raw, 0.1, 0.0).color
+        assert np.isfinite(found).all() and (found >= 0).all() and (found <= 1).all()
+        assert (found[:3].max(1) == 1).all() and (found[3] == 0).all(), "black alone, of -5000, stays black"
+    free = from_raw(to_raw(colored(color), 0.1, 0.0, color_of_light=False), 0.1, 0.0)
     np.testing.assert_allclose(free.color, color, atol=1e-6)
 
 
-def test_their_gradient_is_that_of_differences_and_finite_far_away():
+@pytest.mark.parametrize("channel", [0, 1, 2])
+def test_their_gradient_is_that_of_differences_and_finite_far_away(channel):
     raw = to_raw(colored([[0.2, 0.6, 0.9]] * 3), 0.1, 0.0)
     raw["opacity"] = Float([-200.0, 0.0, 200.0])
 
     def total(logit):
-        same = dr.repeat(logit, 3)
-        now = raw | {"color_logit": type(raw["color_logit"])(same, same, same)}
-        return dr.sum(render_splats(splats(now, 0.1, 0.0, CAMERA), CAMERA).color[1])
+        logits = [logit if k == channel else x[0] for k, x in enumerate(raw["color_logit"])]
+        now = raw | {"color_logit": type(raw["color_logit"])(*[dr.repeat(Float(x), 3) for x in logits])}
+        planes = render_splats(splats(now, 0.1, 0.0, CAMERA), CAMERA).color
+        return dr.sum(planes[0]) + 2 * dr.sum(planes[1]) + 3 * dr.sum(planes[2])
 
-    for value in (-2.0, 0.0, 1.5):
+    for value in (-2.0, 0.5):  # darker than the brightest of the others, and the brightest of all
         logit = Float(value)
         dr.enable_grad(logit)
         dr.backward(total(logit))
