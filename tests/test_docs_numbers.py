@@ -25,12 +25,10 @@ COMMAND = re.compile(
 
 NOT_MEASURED = {  # (page, heading): what its figures are
     ("docs/capture.md", "How it tells the time"): "the board's protocol",
-    ("docs/formats.md", "Velocity store (schema `gof-velocity`, version 1)"): "an example file",
+    ("docs/formats.md", "Velocity store and grids"): "an example file",
     ("docs/how_real.md", "What real fires do"): "laws from the literature",
-    ("docs/how_real.md", "Limits"): "the laws' own scatter",
-    ("docs/renderer.md", "Dr.Jit arrays, differentiable"): "an example",
+    ("docs/renderer.md", "Dr.Jit arrays"): "an example",
     ("docs/renderer.md", "torch, as gsplat"): "limits of the functions",
-    ("docs/renderer.md", "Odd cases, and what happens in each"): "limits of the functions",
     ("docs/renderer_inside.md", "How it works"): "limits of the functions",
 }
 

@@ -49,7 +49,6 @@ NOT_RUN = {  # (page, words that the example begins with): why
     ("renderer.md", "import drjit"): "names every call with placeholders; tests/render makes each of them",
 }
 SAID = {  # page: words that stand for the reader's own files
-    "dve.md": {"DATASET": "data/fire", "result.npz": "mine.npz"},
     "importers.md": {
         "RESULT": "mine.npz",
         "DATASET": "data/fire",
@@ -57,7 +56,12 @@ SAID = {  # page: words that stand for the reader's own files
         "out.npz | out.ply | out.ftgs.ply | out.4dgs | out.glb | out.spz | out.sog | FOLDER": "out.glb",
         "model/chkpnt30000.pth": "mine.npz",  # a checkpoint of another method
     },
-    "leaderboard.md": {"RESULT": "mine.npz", "DATASET": "data/fire", "METHOD": "again"},
+    "scores.md": {
+        "RESULT": "mine.npz",
+        "evaluate result.npz": "evaluate mine.npz",
+        "DATASET": "data/fire",
+        "METHOD": "again",
+    },
 }
 START = """
 import numpy as np

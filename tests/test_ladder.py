@@ -13,7 +13,7 @@ from gof_benchmark.suite import SEALED, Size
 from gof_benchmark.suite.made import folder_of, size_of
 from gof_blender.pure import presets
 
-PAGE = Path(__file__).parents[1] / "docs/accuracy.md"
+PAGE = Path(__file__).parents[1] / "docs/presets.md"
 
 
 def rows() -> dict[str, list[str]]:

@@ -5,7 +5,7 @@
     velocity start + frames * f * cells
 
 `gof generate --estimate` measures the coefficients and keeps them for this user; without that they are those of another
-machine. docs/costs.md compares predictions with runs.
+machine. notebook/costs.md compares predictions with runs.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ from ..core.errors import GofError
 from ..core.records import read_record, write_record
 from .spec import SceneSpec
 
-# Measured on Blender 4.5, see docs/costs.md.
+# Measured on Blender 4.5, see notebook/costs.md.
 BAKE_MB, BAKE_BYTES_PER_CELL = 260.0, 270.0
 RENDER_MB, RENDER_BYTES_PER_CELL, RENDER_BYTES_PER_PIXEL = 330.0, 60.0, 700.0
 CACHE_BYTES_PER_CELL_STEP, VELOCITY_BYTES_PER_CELL_FRAME = 14.0, 6.0

@@ -1,4 +1,4 @@
-"""Cost presets: points on the accuracy/time curves of docs/costs.md, one for each rung of gof.core.ladder."""
+"""Cost presets: points on the accuracy/time curves of docs/presets.md, one for each rung of gof.core.ladder."""
 
 from __future__ import annotations
 

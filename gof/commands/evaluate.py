@@ -73,9 +73,9 @@ class EvaluateConfig:
     """Cameras of the method's own world (COLMAP folder, dataset.json, transforms.json, or JSON name -> 4x4
     world_to_camera), to move it into ours."""
     weights: Path | None = None
-    """Folder with the weight file of LPIPS (docs/leaderboard.md); without it that score is left out and named."""
+    """Folder with the weight file of LPIPS (docs/scores.md); without it that score is left out and named."""
     published: Annotated[str | None, tyro.conf.arg(metavar="[none|make|FOLDER]")] = None
-    """Also the six picture figures that the paper's authors publish, by their definitions (docs/leaderboard.md), and
+    """Also the six picture figures that the paper's authors publish, by their definitions (docs/scores.md), and
     errors of depth, against maps in a FOLDER of `gof depth` or CAMERA/FRAME.npy in metres; "make": maps that are made
     now, as by `gof depth`, beside the scores; without a value or "none": without errors of depth."""
     images: bool = True

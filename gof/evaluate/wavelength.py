@@ -1,8 +1,8 @@
 """Is a Gaussian wider than the flow's structures? Its width in radians of the field's local wavelength.
 
-Three Gauss-Hermite nodes per axis average a wave exp(ikx) well while k sigma stays below 1.5 (docs/dve.md). A turbulent
-field has no single k, so the local one is read off its derivatives: over a neighbourhood, with gradient g and Hessian H
-of every velocity component,
+Three Gauss-Hermite nodes per axis average a wave exp(ikx) well while k sigma stays below 1.5 (docs/scores.md). A
+turbulent field has no single k, so the local one is read off its derivatives: over a neighbourhood, with gradient g
+and Hessian H of every velocity component,
 
     T = sum <H H^T> / sum <|g|^2>
 

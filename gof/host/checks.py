@@ -44,7 +44,7 @@ WEIGHTS = {
         "gof reconstruct --flow memfof --flow-weights",
     ),
     "scores": (
-        "LPIPS (docs/leaderboard.md names the file); without it this score is left out",
+        "LPIPS (docs/scores.md names the file); without it this score is left out",
         "gof evaluate --weights",
     ),
 }

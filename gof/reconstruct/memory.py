@@ -10,7 +10,7 @@ from gof.core.errors import GofError
 from gof.dataset import Dataset
 
 GB = 1e9
-# Bytes at the peaks of finding the flow field and of optimising, fitted to measured runs (docs/reliability.md).
+# Bytes at the peaks of finding the flow field and of optimising, fitted to measured runs (notebook/reliability.md).
 FIELD, FIELD_PIXEL, FIELD_VOXEL = 300e6, 36.0, 152.0
 FITTING, SEEN_PIXEL, WINDOW_PIXEL, FITTING_VOXEL, GAUSSIAN = 315e6, 27.0, 55.0, 21.0, 1680.0
 HULL = 0.07  # of the cube of voxels along the longest side of the flame's box, that stand in its hull

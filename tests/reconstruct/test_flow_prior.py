@@ -148,7 +148,7 @@ def test_uncertainty_is_over_the_pace():
 
 
 def test_the_shipped_network_takes_back_the_lag_of_texture(prior):
-    """Fused flow of flames rises at 0.2 to 0.6 of the gas' speed (docs/motion.md)."""
+    """Fused flow of flames rises at 0.2 to 0.6 of the gas' speed (docs/how_good.md)."""
     seen = changed(plume(), emission=lambda e: np.ones_like(e) * plume().frames[0].emission)  # light without changes
     gas = prior.correct(seen)
     rise = [(field.emission * field.velocity[..., 2]).sum() / field.emission.sum() for field in (seen, gas)]

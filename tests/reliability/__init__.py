@@ -1,4 +1,4 @@
-"""Reliability campaign: damaged inputs, killed runs; results in docs/reliability.md.
+"""Reliability campaign: damaged inputs, killed runs; results in notebook/reliability.md.
 
 python -m tests.reliability fuzz --help
 python -m tests.reliability kill --help
