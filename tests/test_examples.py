@@ -21,16 +21,10 @@ PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
 BLOCK = re.compile(r"^```(\w*)\n(.*?)^```", re.MULTILINE | re.DOTALL)
 COMMAND = re.compile(r"^(?:\$ )?(?:gof|python|make|blender) .*$", re.MULTILINE)
 GROUPS = ("capture", "figure", "study", "benchmark")  # `gof GROUP WORK`: each work has options of its own
-BLENDER, OTHERS, HOURS = (
-    "needs Blender's window or an add-on installed in it",
-    "needs other people's code",
-    "takes hours",
-)
+OTHERS, HOURS = "needs other people's code", "takes hours"
 HARDWARE = "needs the LED board or its microcontroller"
 NOT_RUN = {  # (page, words that the example begins with): why
     ("README.md", "make demo"): "sets up a machine: run before every release",
-    ("addon.md", "$ blender"): BLENDER,
-    ("addon.md", "# blender"): BLENDER,
     ("baselines.md", "gof baseline --method wu [--curve"): OTHERS,
     ("baselines.md", "python -m gof_benchmark.views.shrunk"): OTHERS,
     ("baselines.md", "gof baseline --method wu --curve"): OTHERS,
