@@ -43,7 +43,7 @@ def test_the_site_is_built_and_no_link_of_it_leads_nowhere(site):
 
 @pytest.mark.slow
 @pytest.mark.skipif(chromium() is None, reason="no Chromium here: the site is not opened")
-@pytest.mark.parametrize("page", ["index.html", "docs/figures.html"])
+@pytest.mark.parametrize("page", ["index.html", "docs/show.html"])
 def test_search_works_from_a_disk(site, page):
     """Without a server, where browsers start no worker; and nothing but the site's own files is asked for."""
     with Browser() as browser:
