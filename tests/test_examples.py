@@ -35,7 +35,6 @@ NOT_RUN = {  # (page, words that the example begins with): why
     ("capture.md", "gof capture target"): HARDWARE + " and a printed target; tests/capture films synthetic ones",
     ("capture_board.md", ". $IDF_PATH"): HARDWARE,
     ("capture_board.md", "$ firmware/build/emulator"): "needs a compiled emulator; tests/firmware talks to it",
-    ("capture_board.md", "$ make -C firmware"): "a C compiler's run; tests/firmware makes it",
     ("cluster.md", "#!/bin/bash"): "needs a cluster; tests/test_cluster.py has one of two processes",
     ("cluster.md", "from pathlib"): "needs a cluster; tests/test_cluster.py has one of two processes",
     ("how_real.md", "python -m gof_benchmark.fires"): HOURS,
