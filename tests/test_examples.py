@@ -72,7 +72,7 @@ viewmats, Ks = torch.eye(4)[None], torch.tensor([[[30.0, 0, 16], [0, 30, 12], [0
 """,
     ("benchmark.md", "gof pack"): "mkdir -p bench/standard; cp -r data/fire bench/standard/jet\n",
     # the other clips of the rig, and this one's dataset
-    ("ingest.md", "gof ingest b/cam"): "gof ingest cam_?.mp4 --out data/a --times 60 --fov 35.5 --marker-mm 60\n"
+    ("ingest.md", "gof ingest b/cam"): "gof ingest cam_?.mp4 --out data/a --times 60 --fov 23 --marker-mm 60\n"
     "for f in a b c; do mkdir $f; cp cam_?.mp4 $f; done\n",
 }
 
