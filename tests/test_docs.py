@@ -8,6 +8,7 @@ import pytest
 
 from gof.commands.cli import commands
 from gof.commands.renamed import COMMANDS
+from tests.test_printed_commands import SOURCES, texts
 
 ROOT = Path(__file__).parents[1]
 EVIDENCE = ROOT / "benchmark/evidence"
@@ -55,6 +56,14 @@ def test_pictures_are_shown_somewhere():
     shown = "".join(page.read_text() for page in PAGES)
     for path in [*(ROOT / "docs/images").iterdir(), *(ROOT / "docs/figures").iterdir()]:
         assert path.name in shown, path
+
+
+def test_troubleshooting_quotes_what_the_program_prints():
+    """Each heading in code is a part of a message, letter by letter; others are questions."""
+    messages = [text for path in SOURCES for _, text in texts(path)]
+    headings = re.findall(r"^### `(.+)`$", (ROOT / "docs/troubleshooting.md").read_text(), re.MULTILINE)
+    assert len(headings) > 30 and not any("no such message is printed" in text for text in messages)
+    assert [heading for heading in headings if not any(heading in text for text in messages)] == []
 
 
 REVIEWS = {

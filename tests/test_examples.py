@@ -21,16 +21,12 @@ PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
 BLOCK = re.compile(r"^```(\w*)\n(.*?)^```", re.MULTILINE | re.DOTALL)
 COMMAND = re.compile(r"^(?:\$ )?(?:gof|python|make|blender) .*$", re.MULTILINE)
 GROUPS = ("capture", "figure", "study", "benchmark")  # `gof GROUP WORK`: each work has options of its own
-BLENDER, OTHERS, HOURS = (
-    "needs Blender's window or an add-on installed in it",
-    "needs other people's code",
-    "takes hours",
-)
+OTHERS, HOURS = "needs other people's code", "takes hours"
 HARDWARE = "needs the LED board or its microcontroller"
 NOT_RUN = {  # (page, words that the example begins with): why
     ("README.md", "make demo"): "sets up a machine: run before every release",
-    ("addon.md", "$ blender"): BLENDER,
-    ("addon.md", "# blender"): BLENDER,
+    ("install.md", "make setup"): "sets up a machine: run before every release",
+    ("install.md", "make addon"): "tests/blender/test_addon_install.py builds it",
     ("baselines.md", "gof baseline --method wu [--curve"): OTHERS,
     ("baselines.md", "python -m gof_benchmark.views.shrunk"): OTHERS,
     ("baselines.md", "gof baseline --method wu --curve"): OTHERS,
@@ -41,7 +37,6 @@ NOT_RUN = {  # (page, words that the example begins with): why
     ("capture.md", "gof capture target"): HARDWARE + " and a printed target; tests/capture films synthetic ones",
     ("capture_board.md", ". $IDF_PATH"): HARDWARE,
     ("capture_board.md", "$ firmware/build/emulator"): "needs a compiled emulator; tests/firmware talks to it",
-    ("capture_board.md", "$ make -C firmware"): "a C compiler's run; tests/firmware makes it",
     ("cluster.md", "#!/bin/bash"): "needs a cluster; tests/test_cluster.py has one of two processes",
     ("cluster.md", "from pathlib"): "needs a cluster; tests/test_cluster.py has one of two processes",
     ("how_real.md", "python -m gof_benchmark.fires"): HOURS,
@@ -81,7 +76,8 @@ viewmats, Ks = torch.eye(4)[None], torch.tensor([[[30.0, 0, 16], [0, 30, 12], [0
 """,
     ("benchmark.md", "gof pack"): "mkdir -p bench/standard; cp -r data/fire bench/standard/jet\n",
     # the other clips of the rig, and this one's dataset
-    ("ingest.md", "gof ingest b/cam"): "cp -r data/fire data/a; for f in a b c; do mkdir $f; cp cam_?.mp4 $f; done\n",
+    ("ingest.md", "gof ingest b/cam"): "gof ingest cam_?.mp4 --out data/a --times 60 --fov 23 --marker-mm 60\n"
+    "for f in a b c; do mkdir $f; cp cam_?.mp4 $f; done\n",
 }
 
 pytestmark = pytest.mark.checkout

@@ -29,7 +29,6 @@ LINE = re.compile(r"^ *(gof [a-z]+ (?!- ).*?)(?: {3,}.*)?$", re.MULTILINE)  # th
 SERVER, HOURS, HARDWARE = "serves pages until it is stopped", "takes hours", "needs the board, or printed targets"
 OTHERS, SUITE = "needs other people's code or files", "tests/suite walks this way, with smaller scenes"
 NOT_RUN = {  # words that the command begins with: why
-    "gof baseline": OTHERS,
     "gof benchmark make": SUITE,
     "gof reconstruct bench/": SUITE,
     "gof benchmark add": SUITE,
@@ -38,7 +37,6 @@ NOT_RUN = {  # words that the command begins with: why
     "gof capture board": HARDWARE,
     "gof capture calibrate": HARDWARE,
     "gof convert chkpnt30000.pth": OTHERS,
-    "gof evaluate CHECKPOINT": OTHERS,
     "gof study generate": HOURS,
     "gof study reconstruct": HOURS,
     "gof study ablations": HOURS,
