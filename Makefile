@@ -44,7 +44,7 @@ dist: setup
 
 docs: setup
 	$(VENV)/bin/python -m pip install --quiet -e ".[site]"
-	$(VENV)/bin/python tools/site.py
+	$(VENV)/bin/python -m tools.site
 
 setup: $(READY)
 

@@ -30,7 +30,7 @@ def site(tmp_path_factory) -> Path:
     if importlib.util.find_spec("mkdocs") is None:
         pytest.skip("mkdocs is not installed: pip install '.[site]'")
     folder = tmp_path_factory.mktemp("site")
-    subprocess.run([sys.executable, str(ROOT / "tools/site.py"), str(folder)], check=True)
+    subprocess.run([sys.executable, "-m", "tools.site", str(folder)], cwd=ROOT, check=True)
     return folder
 
 

@@ -73,13 +73,13 @@ class Fire:
     """The emitter of fuel and what it burns: a fire that we simulate."""
 
     fuel: str = "propane_high"
-    """Name of a preset in FUELS."""
+    """What burns: how fast, in which colour, with how much soot."""
     shape: Literal["disc", "sphere", "logs"] = "disc"
     """disc: a flat round burner of 1/3 radius height; sphere: a ball; logs: crossed logs."""
     position: Vector = (0.0, 0.0, 0.12)
     """Centre of the emitter, world metres."""
     radius: float = 0.13
-    """Metres."""
+    """Radius of the emitter, metres."""
     jet_speed: float = 0.0
     """Upward speed at which the fuel leaves the burner, m/s."""
     light: Literal["soot", "sheets", "reaction"] = "soot"
@@ -100,7 +100,7 @@ class Fire:
         rule = 'left out unless fire.shape is "logs"'
         require(self.shape == "logs" or self.logs == Fire.logs, "fire.logs", rule, self.logs)
         require(0 <= self.jet_speed <= MOST_JET, "fire.jet_speed", f"in [0, {MOST_JET:g}] m/s", self.jet_speed)
-        require(self.fuel in FUELS, "fire.fuel", f"one of {sorted(FUELS)}", self.fuel)
+        require(self.fuel in FUELS, "fire.fuel", f"one of {', '.join(sorted(FUELS))}", self.fuel)
         require(self.radius > 0, "fire.radius", "positive", self.radius)
         require(0 < self.intensity <= 1e4, "fire.intensity", "in (0, 10000]", self.intensity)
 

@@ -31,6 +31,7 @@ class BoardConfig:
     """
 
     action: tyro.conf.Positional[Literal["find", "set", "start", "stop", "monitor", "test", "self-test"]]
+    """Action on the board."""
     port: str | None = None
     """Serial port; found by itself when one board is plugged in."""
     tick_us: Annotated[int | None, tyro.conf.arg(metavar="US")] = None
