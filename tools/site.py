@@ -1,8 +1,8 @@
 """Build the documents as a web site: python -m tools.site [OUT], default build/site; open OUT/index.html.
 
 The pages stay where they are, in README.md, docs/ and beside the code, and their links work on a disk and in a code
-host's viewer. Here they are put together with references made from the code. A link that leads nowhere is an error.
-Pages of notebook/ stay out: a link to one becomes plain text.
+host's viewer. Here they are put together with references made from the code. A link that leads nowhere is an error,
+and so is a figure that evidence/ does not have. Pages of notebook/ stay out: a link to one becomes plain text.
 """
 
 from __future__ import annotations
@@ -16,6 +16,7 @@ import tempfile
 from pathlib import Path
 
 from tools import references
+from tools.evidence import wrong_quotes
 
 ROOT = Path(__file__).resolve().parents[1]
 CONFIG = ROOT / "tools" / "site.yml"
@@ -34,7 +35,10 @@ def stage(folder: Path) -> None:
         target = folder / path.relative_to(ROOT)
         target.parent.mkdir(parents=True, exist_ok=True)
         if path.suffix == ".md":
-            target.write_text(page_of_site(path.read_text("utf-8")), encoding="utf-8")
+            text = path.read_text("utf-8")
+            if wrong := wrong_quotes(text):
+                sys.exit("\n".join(f"{path.relative_to(ROOT)}: {line}" for line in wrong))
+            target.write_text(page_of_site(text), encoding="utf-8")
         else:
             shutil.copyfile(path, target)
 
