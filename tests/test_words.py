@@ -83,7 +83,10 @@ def ease(text: str) -> float:
 
 
 def test_sentences_are_told_apart():
-    page = "# Title\n\nOne two three. Four `gof a --b 1` five!\n\n| no | row. |\n\n- six 0.5 m\n- seven, [eight](x.md)\n```\nno code.\n```\n"
+    page = (
+        "# Title\n\nOne two three. Four `gof a --b 1` five!\n\n| no | row. |\n\n- six 0.5 m\n- seven, [eight](x.md)\n"
+    )
+    page += "```\nno code.\n```\n"
     assert sentences(page) == ["One two three.", "Four CODE five!", "six 0.5 m", "seven, eight"]
     assert words("six 0.5 m, the fire's gof_board-1") == ["six", "0.5", "m,", "the", "fire's", "gof_board-1"]
 
