@@ -113,7 +113,10 @@ def main(argv: list[str]) -> int:
 
     result = synchronise(config.videos, board, decoding, draw, known, config.estimate, points)
     if not any(camera.times for camera in result.cameras):
-        raise GofError(f"no camera could be decoded with board '{board.name}': {said_once(result)} {WAYS_OUT}")
+        raise GofError(
+            f"no camera could be decoded with board '{board.name}': {said_once(result)} {WAYS_OUT}",
+            anchor="no-camera-could-be-decoded",
+        )
     write_record(target, result)
     for name, chart in charts.items():
         chart.write(folder / f"residuals_{name}.png")
@@ -142,7 +145,8 @@ def sync_without_board(
     except GofError as e:
         raise GofError(
             f"no camera could be decoded: {', '.join(names)}: the marker of a known LED board is not there "
-            f"({NO_MARKER}), and {e}. {WAYS_OUT}"
+            f"({NO_MARKER}), and {e}. {WAYS_OUT}",
+            anchor="no-camera-could-be-decoded",
         ) from e
     write_record(folder / FILE, result)
     used = {"sound": "the films' sound", "flame": "the flames' light"}[result.cameras[0].times.clock]

@@ -15,7 +15,7 @@ from importlib.metadata import PackageNotFoundError, entry_points, metadata
 from gof import __version__
 from gof.commands import COMMANDS, GROUPS, HELP_WORDS, Command, everywhere, no_such, renamed
 from gof.commands.everywhere import DEBUG_VARIABLE, FAULTS
-from gof.core.errors import GofError, printable
+from gof.core.errors import GofError, in_words, printable
 from gof.core.files import follow_links_of
 
 # What a user's disk can do to a run.
@@ -229,7 +229,7 @@ def run(name: str, argv: list[str]) -> int:
     except GofError as e:
         if os.environ.get(DEBUG_VARIABLE, FAULTS) != FAULTS:
             traceback.print_exc()
-        print(f"gof {name}: {e}", file=sys.stderr)
+        print(f"gof {name}: {in_words(e)}", file=sys.stderr)
         return 1
     except MemoryError as e:
         print(
