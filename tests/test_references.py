@@ -56,11 +56,13 @@ def test_every_command_is_there(command_page):
 
 def test_an_option_has_its_value_default_and_text(command_page):
     assert rows(command_page, "gof capture calibrate", 3)["--square-mm"] == [
-        "`--square-mm MM`",
+        "`--square-mm`",
+        "`MM`",
         "`40`",
         "Side of a square, as measured on the print.",
     ]
-    assert rows(command_page, "gof generate", 3)["SCENE"][1] == "required"
+    assert rows(command_page, "gof generate", 3)["SCENE"][1:3] == ["", "required"]
+    assert rows(command_page, "gof capture sync", 3)["--clock"][1] == "`steady`, `free`"
 
 
 def all_classes() -> dict[str, type]:
@@ -113,7 +115,7 @@ def test_the_example_of_the_page_is_a_scene():
 def test_a_mark_is_filled_and_links_to_the_notebook_are_plain_text():
     text = "see [what was tried](../notebook/motion.md#tried) and [scenes](scenes.md)\n"
     assert site.page_of_site(text) == "see what was tried and [scenes](scenes.md)\n"
-    assert "| `--square-mm MM` |" in site.page_of_site("<!-- generated: commands -->\n")
+    assert "| `--square-mm` | `MM` |" in site.page_of_site("<!-- generated: commands -->\n")
     with pytest.raises(KeyError):
         references.filled("<!-- generated: nothing -->\n")
 

@@ -14,7 +14,7 @@ from tests.browser import Browser, chromium
 
 ROOT = Path(__file__).parents[1]
 BLOCK = re.compile(r"^```(bash|python)\n(.*?)^```", re.MULTILINE | re.DOTALL)
-NAV = re.findall(r"^ +- (\S+\.md)$", (ROOT / "tools/site.yml").read_text(encoding="utf-8"), re.MULTILINE)
+NAV = re.findall(r"^ +- [^:]+: (\S+\.md)$", (ROOT / "tools/site.yml").read_text(encoding="utf-8"), re.MULTILINE)
 
 pytestmark = pytest.mark.checkout
 

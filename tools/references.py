@@ -83,12 +83,12 @@ def _of_command(words: str, config: type) -> str:
 def _options(options: Iterable[Option], as_keys: bool = False) -> str:
     rows = []
     for option in options:
-        value = f"{option.value}{' ...' if option.several else ''}"
         name = option.field if as_keys else option.name
-        called = name if option.positional else f"{name}{'=' if as_keys and value else ' '}{value}".rstrip()
+        values = [] if option.positional else [*filter(None, option.value.split("|"))]
+        value = ", ".join(map(_code, values)) + (" ..." if option.several and values else "")
         default = "required" if option.required else _code(option.default) if option.default else ""
-        rows.append((_code(called), default, _sentence(option.text)))
-    return _table(("option", "default", "what it does"), rows) if rows else ""
+        rows.append((_code(name), value, default, _sentence(option.text)))
+    return _table(("key" if as_keys else "option", "value", "default", "what it does"), rows) if rows else ""
 
 
 # ----------------------------------------------------------------
@@ -252,7 +252,11 @@ def _sentence(text: str) -> str:
 
 def _table(head: tuple[str, ...], rows: Iterable[tuple[str, ...]]) -> str:
     rows = list(rows)
-    kept = [k for k, title in enumerate(head) if title not in ("unit", "must be", "default") or any(r[k] for r in rows)]
+    kept = [
+        k
+        for k, title in enumerate(head)
+        if title not in ("unit", "must be", "value", "default") or any(r[k] for r in rows)
+    ]
     lines = [[head[k] for k in kept], ["---"] * len(kept), *([row[k] for k in kept] for row in rows)]
     return "\n".join("| " + " | ".join(cell.replace("|", "\\|") for cell in line) + " |" for line in lines)
 

@@ -21,8 +21,9 @@ from tools.evidence import wrong_quotes
 ROOT = Path(__file__).resolve().parents[1]
 CONFIG = ROOT / "tools" / "site.yml"
 PAGES = ("README.md", "CONTRIBUTING.md", "docs/**/*.md", "benchmark/**/README.md", "firmware/README.md")
-BESIDE = (ROOT / "tools" / "site.css", ROOT / "tools" / "iframe-worker.js")
+BESIDE = (ROOT / "tools" / "site.css", ROOT / "tools" / "iframe-worker.js", ROOT / "tools" / "flame.svg")
 LINK = re.compile(r"\]\(([^)#\s]+)")
+PICTURE = re.compile(r"!\[[^]]*\]\([^)]+\)")
 TO_NOTEBOOK = re.compile(r"\[([^][]+)\]\((?:\.\./)*notebook/[^)\s]+\)")
 REFERENCE = "---\nsearch: {boost: 4}\n---\n"  # found before pages that only mention a field or an option
 
@@ -44,8 +45,10 @@ def stage(folder: Path) -> None:
 
 
 def page_of_site(text: str) -> str:
-    """Return a page with its generated parts, and without links to the notebook."""
+    """Return a page with its generated parts, without links to the notebook; pictures further down load when seen."""
     text = TO_NOTEBOOK.sub(r"\1", text)
+    for picture in list(PICTURE.finditer(text))[:0:-1]:
+        text = f"{text[: picture.end()]}{{ loading=lazy }}{text[picture.end() :]}"
     return REFERENCE + references.filled(text) if references.MARK.search(text) else text
 
 
