@@ -1,7 +1,8 @@
 """Reference pages made from the code, as Markdown: python -m tools.references [commands|spec]
 
-A page in docs/ with the line `<!-- generated: NAME -->` gets that part when the site is built (tools/site.py). Texts,
-defaults and units are those of the classes that commands and scenes are read into, ranges those that these check.
+A page in docs/ with the line `<!-- generated: NAME -->` gets that part when the site is built (tools/site.py), in place
+of it and of a quoted line before it, which is for other viewers. Texts, defaults and units are those of the classes
+that commands and scenes are read into, ranges those that these check.
 """
 
 from __future__ import annotations
@@ -29,7 +30,7 @@ from gof_blender.pure import effects
 from gof_blender.pure.spec import SceneSpec
 from gof_blender.pure.units import unit_of
 
-MARK = re.compile(r"^<!-- generated: (\w+) -->$", re.MULTILINE)
+MARK = re.compile(r"^(?:> .*\n\n)?<!-- generated: (\w+) -->$", re.MULTILINE)  # and the note for other viewers
 
 
 def filled(page: str) -> str:
@@ -45,7 +46,7 @@ def of_commands() -> str:
     """Return every command with its options, grouped as in `gof --help`."""
     parts = [
         "## Every command",
-        _table(("option", "what it does"), ((_code(name), text) for name, text in everywhere.OPTIONS.items())),
+        _table(("option", "what it does"), ((_code(k), _sentence(text)) for k, text in everywhere.OPTIONS.items())),
     ]
     for group in GROUPS:
         parts.append(f"## {group.capitalize()}")
@@ -87,8 +88,8 @@ def _options(options: Iterable[Option], as_keys: bool = False) -> str:
         values = [] if option.positional else [*filter(None, option.value.split("|"))]
         value = ", ".join(map(_code, values)) + (" ..." if option.several and values else "")
         default = "required" if option.required else _code(option.default) if option.default else ""
-        rows.append((_code(name), value, default, _sentence(option.text)))
-    return _table(("key" if as_keys else "option", "value", "default", "what it does"), rows) if rows else ""
+        rows.append((_code(name), _sentence(option.text), value, default))
+    return _table(("key" if as_keys else "option", "what it does", "value", "default"), rows) if rows else ""
 
 
 # ----------------------------------------------------------------
@@ -155,8 +156,8 @@ def _fields(kind: type) -> str:
         text = texts.get(field.name, "")
         kinds, rule = _kind(hints[field.name]), ranges.get(field.name, "")
         unit = unit_of(field.name, text) if _is_number(hints[field.name]) else ""
-        rows.append((_code(field.name), kinds, unit, rule, _default(field), _sentence(text)))
-    return _table(("field", "type", "unit", "must be", "default", "what it is"), rows) if rows else ""
+        rows.append((_code(field.name), _sentence(text), kinds, unit, rule, _default(field)))
+    return _table(("field", "what it is", "type", "unit", "must be", "default"), rows) if rows else ""
 
 
 def _is_number(hint: Any) -> bool:

@@ -26,10 +26,13 @@ LINK = re.compile(r"\]\(([^)#\s]+)")
 PICTURE = re.compile(r"!\[[^]]*\]\([^)]+\)")
 TO_NOTEBOOK = re.compile(r"\[([^][]+)\]\((?:\.\./)*notebook/[^)\s]+\)")
 REFERENCE = "---\nsearch: {boost: 4}\n---\n"  # found before pages that only mention a field or an option
+FOR_DEVELOPERS = ("architecture.md", "renderer_inside.md")
+UNSEARCHED = "---\nsearch: {exclude: true}\n---\n"  # of pages for developers, so that the index is small
 
 
 def stage(folder: Path) -> None:
     """Copy the pages and the files that they show or point to, each where it lies in the repository."""
+    for_users = [path for path in (ROOT / "docs").rglob("*.md") if path.name not in FOR_DEVELOPERS]
     pages = [path for pattern in PAGES for path in ROOT.glob(pattern)]
     linked = [(page.parent / target).resolve() for page in pages for target in LINK.findall(page.read_text("utf-8"))]
     for path in {*pages, *filter(_is_shown, linked)}:
@@ -39,7 +42,8 @@ def stage(folder: Path) -> None:
             text = path.read_text("utf-8")
             if wrong := wrong_quotes(text):
                 sys.exit("\n".join(f"{path.relative_to(ROOT)}: {line}" for line in wrong))
-            target.write_text(page_of_site(text), encoding="utf-8")
+            page = page_of_site(text)
+            target.write_text(page if path in (*for_users, ROOT / "README.md") else UNSEARCHED + page, encoding="utf-8")
         else:
             shutil.copyfile(path, target)
 
