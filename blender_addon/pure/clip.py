@@ -23,7 +23,7 @@ class Clip:
     time_scale: float = 1.0
     """Simulated time over time on the dataset clock, below 1 for slow motion; velocities follow the clock."""
     steps_per_frame: int = 1
-    """Solver steps from one frame to the next. An effect that looks between the frames may ask for more."""
+    """Solver steps from one frame to the next. An effect that needs instants between the frames raises it."""
 
     def __post_init__(self):
         require(self.frames >= 1, "clip.frames", "at least 1", self.frames)

@@ -83,12 +83,11 @@ class Fire:
     jet_speed: float = 0.0
     """Upward speed at which the fuel leaves the burner, m/s."""
     light: Literal["soot", "sheets", "reaction"] = "soot"
-    """soot: the flame glows and absorbs by its soot, in all that burns, well exposed at every size (`pure.soot`);
-    sheets: likewise, in thin sheets; reaction: every metre of it shines the same and nothing is absorbed, as in specs
-    of version 1."""
+    """soot: soot glows and absorbs wherever gas burns, well exposed at every size (`pure.soot`); sheets: soot in thin
+    sheets; reaction: every metre emits equally and nothing is absorbed, as in specs of version 1."""
     speeds: Literal["physical", "solver"] = "physical"
     """physical: lift and burning follow the fire's size, so that gas is as fast as in real fires (`pure.similarity`);
-    solver: the same constants at every size, as in specs of version 1: much too fast below a metre."""
+    solver: one set of constants at every size, as in specs of version 1, which is much too fast below a metre."""
     intensity: float = 1.0
     """Factor on the flame's light."""
     logs: int = 3
@@ -162,7 +161,7 @@ class GridFire:
     position: Vector = (0.0, 0.0, 0.0)
     """Where the origin of the grids' axes stands, world metres."""
     radiance: float = 1.0
-    """Linear scene radiance per unit of emission: solvers know light up to one factor."""
+    """Linear scene radiance per unit of emission, as a solver gives light only up to a factor."""
 
     def __post_init__(self):
         require(self.radiance > 0, "fire.radiance", "positive", self.radiance)

@@ -33,7 +33,7 @@ class BoardConfig:
     action: tyro.conf.Positional[Literal["find", "set", "start", "stop", "monitor", "test", "self-test"]]
     """Action on the board."""
     port: str | None = None
-    """Serial port; found by itself when one board is plugged in."""
+    """Serial port. Default: that of the only board plugged in."""
     tick_us: Annotated[int | None, tyro.conf.arg(metavar="US")] = None
     """set: length of a tick (a period is 10 ticks; 400 suits 400 fps)."""
     count: int | None = None

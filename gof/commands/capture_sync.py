@@ -57,8 +57,8 @@ class SyncConfig:
     video."""
     board: str = "auto"
     """Board in the pictures: "auto" recognises a built-in one (gof_board, paper_rig, rocsync); or its name, or the JSON
-    file of your own. A board that the pictures speak against is refused. Where "auto" sees none, and with "none",
-    clocks are found by the films' sound, else by the flames' light."""
+    file of your own. A board that contradicts the pictures is refused. Where "auto" finds none, and with "none", the
+    films' sound or else the flames' light synchronises the clocks."""
     board_points: Path | None = None
     """JSON of points of the board marked by hand, for cameras in which its marker is partly hidden or cut off:
     {"cam_1": {"corners": {"0": [x, y]}, "leds": {"5": [x, y]}}}, four or more in all; see docs/capture.md."""

@@ -67,8 +67,7 @@ class EvaluateConfig:
     dataset: Path
     """Dataset folder: its pictures and, where it has them, true velocities."""
     out: Path | None = None
-    """Folder to write scores.json to. Default, without --json: beside the result, where older scores of the same result
-    are replaced."""
+    """Folder for scores.json. Default, without --json: beside the result, where its older scores are replaced."""
     align: Path | None = None
     """Cameras of the method's own world (COLMAP folder, dataset.json, transforms.json, or JSON name -> 4x4
     world_to_camera), to move it into ours."""
