@@ -29,7 +29,7 @@ NO_MEMORY = re.compile(
 )
 
 HELP = """\
-gof {version} - Gaussians on Fire: three videos of a flame to transient 3D Gaussians with real velocities.
+gof {version} - Gaussians on Fire: a flame from synchronised videos as moving 3D Gaussians with velocities in m/s.
 
 usage: gof COMMAND [OPTIONS]        gof help COMMAND, or gof COMMAND --help, explains one command
 
@@ -46,8 +46,8 @@ commands:
 for every command, before or after its name:
 {everywhere}
 
-Work that was stopped goes on with the same command. A finished file that you named is kept, unless --overwrite.
-Pages that texts name as docs/NAME.md are in the folder docs of the source, which packages do not hold.
+Run a stopped command again and it continues. A finished file is kept unless --overwrite.
+Pages named docs/NAME.md are in the source's folder docs, which packages do not contain.
 {ask}
 """
 PROJECT = "gaussians-on-fire"
