@@ -62,7 +62,7 @@ def _find() -> dict:
             print(f"{board.port}: {RESET_SAID}")
     if not boards:
         ports = candidate_ports()
-        looked = f"asked {', '.join(ports)}: none answers as a board" if ports else "no USB serial port is present"
+        looked = f"asked {', '.join(ports)}: no board answered" if ports else "no USB serial port is present"
         raise BoardError(
             f"no LED board found ({looked}). Use a USB cable that carries data, flash the firmware "
             "(docs/capture_board.md), or name the port with --port"
