@@ -17,8 +17,6 @@ ROOT = Path(__file__).parents[1]
 BLOCK = re.compile(r"^```(bash|python)\n(.*?)^```", re.MULTILINE | re.DOTALL)
 NAV = re.findall(r"^ +- [^:]+: (\S+\.md)$", (ROOT / "tools/site.yml").read_text(encoding="utf-8"), re.MULTILINE)
 
-MOST_BYTES = 300_000  # of the first load
-
 pytestmark = pytest.mark.checkout
 
 
@@ -80,7 +78,7 @@ def test_the_first_page_is_light_and_fits_the_screen(site, width):
         files = {Path(unquote(urlparse(address).path)) for address in browser.requests}
         texts = (".html", ".css", ".js", ".svg")
         sizes = [len(gzip.compress(p.read_bytes())) if p.suffix in texts else p.stat().st_size for p in files]
-        assert sum(sizes) < MOST_BYTES, dict(zip(files, sizes, strict=True))
+        assert sum(sizes) < 300_000, dict(zip(files, sizes, strict=True))
         assert browser.run("document.documentElement.scrollWidth") <= width
 
 
