@@ -7,6 +7,7 @@
 #   make coverage  the quick tests with the share of lines that they run
 #   make bench   eight functions' CPU seconds against another commit (COMMIT, default HEAD), on this machine
 #   make docs    the documents as a web site (build/site/index.html)
+#   make evidence  the figures that pages quote, measured again where evidence/NAME.json is missing
 #   make dist    wheel, source archive and add-on zip with their checksums (dist/)
 #   make addon   the Blender add-on as a zip (dist/gaussians_on_fire-VERSION.zip); needs nothing but Python
 # JOBS: how many files of tests run side by side.
@@ -19,7 +20,7 @@ JOBS   ?= 2
 VENV   := .venv
 READY  := $(VENV)/.ready
 
-.PHONY: demo test quick coverage bench addon dist docs setup lint clean
+.PHONY: demo test quick coverage bench addon dist docs evidence setup lint clean
 
 demo: setup
 	$(VENV)/bin/gof demo --out $(OUT)
@@ -44,7 +45,10 @@ dist: setup
 
 docs: setup
 	$(VENV)/bin/python -m pip install --quiet -e ".[site]"
-	$(VENV)/bin/python tools/site.py
+	$(VENV)/bin/python -m tools.site
+
+evidence: setup
+	$(VENV)/bin/python -m tools.evidence $(ARGS)
 
 setup: $(READY)
 

@@ -1,4 +1,4 @@
-"""Gaussians on Fire: videos of a flame to transient 3D Gaussians with real velocities.
+"""Gaussians on Fire: a flame from videos as moving 3D Gaussians with velocities in m/s.
 
 The front door; every name is loaded when it is first used, so that importing `gof` is cheap:
 

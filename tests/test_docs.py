@@ -16,11 +16,11 @@ PAGES = [
     ROOT / "README.md",
     ROOT / "CONTRIBUTING.md",
     *sorted((ROOT / "docs").rglob("*.md")),
-    *sorted((ROOT / "notebook").glob("*.md")),
     *sorted((ROOT / "benchmark").glob("*/README.md")),
     *sorted((ROOT / "benchmark/scenes").glob("*/README.md")),
     ROOT / "firmware/README.md",
 ]
+NOTEBOOK = sorted((ROOT / "notebook").glob("*.md"))  # history: its links lead to files, its names may be of before
 TESTS = {name for path in (ROOT / "tests").rglob("*.py") for name in re.findall(r"def (test_\w+)", path.read_text())}
 TESTS |= {
     path.stem for folder in ("tests", "firmware", EVIDENCE / "checks") for path in (ROOT / folder).rglob("test_*.*")
@@ -35,12 +35,16 @@ def modules_run_by(text: str) -> set[str]:
     return {name.strip(".") for name in re.findall(r"python -m gof_benchmark([\w.]*)", text)}
 
 
+@pytest.mark.parametrize("page", [*PAGES, *NOTEBOOK], ids=lambda p: str(p.relative_to(ROOT)))
+def test_links_of_a_page_lead_to_files(page):
+    for target in re.findall(r"\]\(([^)#\s]+)[^)]*\)", page.read_text()):
+        if "://" not in target:
+            assert (page.parent / target).exists(), f"link to {target}"
+
+
 @pytest.mark.parametrize("page", PAGES, ids=lambda p: str(p.relative_to(ROOT)))
 def test_what_a_page_names_exists(page):
     text = page.read_text()
-    for target in re.findall(r"\]\(([^)#\s]+)[^)]*\)", text):
-        if "://" not in target:
-            assert (page.parent / target).exists(), f"link to {target}"
     for name in re.findall(r"(?<![-\w])(test_\w+)\b(?!\.py)", text):
         assert name in TESTS, f"test {name}"
     for module in modules_run_by(text) - {"evidence.NAME"}:
@@ -49,11 +53,11 @@ def test_what_a_page_names_exists(page):
     for module in re.findall(r"python -m tests\.(\w+)", text):
         assert (ROOT / "tests" / module / "__main__.py").exists(), module
     for command in re.findall(r"(?:^|`)gof ([a-z]\w*)", text, re.MULTILINE):
-        assert command in commands() or command in COMMANDS, f"gof {command}"
+        assert command in commands() or command in COMMANDS or command == "help", f"gof {command}"
 
 
 def test_pictures_are_shown_somewhere():
-    shown = "".join(page.read_text() for page in PAGES)
+    shown = "".join(page.read_text() for page in [*PAGES, *NOTEBOOK])
     for path in [*(ROOT / "docs/images").iterdir(), *(ROOT / "docs/figures").iterdir()]:
         assert path.name in shown, path
 
@@ -66,49 +70,11 @@ def test_troubleshooting_quotes_what_the_program_prints():
     assert [heading for heading in headings if not any(heading in text for text in messages)] == []
 
 
-REVIEWS = {
-    "reliability": [
-        *(f"H{n}" for n in range(1, 5)),
-        *(f"M{n}" for n in range(1, 9)),
-        *(f"L{n}" for n in range(1, 11)),
-    ],
-    "importers": [str(n) for n in range(1, 20)],
-}
-
-
-@pytest.mark.parametrize("page", REVIEWS)
-def test_every_defect_of_the_reviews_has_its_row(page):
-    """With its tests, whose existence is asked for above, or in words why there is none; and the commit."""
-    lines = (ROOT / f"notebook/{page}.md").read_text().splitlines()
-    start = next(i for i, line in enumerate(lines) if line.startswith("| no. |"))
-    rows = []
-    for line in lines[start + 2 :]:
-        if not line.startswith("| "):
-            break
-        rows.append([cell.strip() for cell in line.strip("|").split(" | ")])
-    assert {len(row) for row in rows} == {5}
-    listed = {number for row in rows for number in row[0].split(", ")}
-    assert set(REVIEWS[page]) <= listed
-    assert listed - set(REVIEWS[page]) == {"-"}, "rows without a number are siblings"
-    for number, _, became, tests, commit in rows:
-        assert re.search(r"`test_\w+`", tests) or tests in ("(words)", "there") or became.startswith("not "), number
-        assert commit in ("-", "with this row") or all(re.fullmatch("[0-9a-f]{7}", c) for c in commit.split(", ")), (
-            commit
-        )
-
-
-def test_every_finding_about_the_addon_has_its_row():
-    """All nineteen, each with a test that `test_what_a_page_names_exists` finds, or words alone."""
-    found = re.findall(r"^\| (\d+) \| (.+) \| (.+) \| (.+) \|$", (ROOT / "notebook/addon.md").read_text(), re.MULTILINE)
-    assert [int(number) for number, *_ in found] == list(range(1, 20))
-    assert all(re.search(r"`test_\w+(\.py)?`", holds) or holds == "(words)" for *_, holds in found)
-
-
 # ---------------------------------------------------------------- benchmark/evidence
 
 
 def evidence_rows() -> list[list[str]]:
-    """Cells of the table: claim, script, page, how long it takes."""
+    """Cells of the table: claim, command, how long it takes."""
     lines = [line for line in (EVIDENCE / "README.md").read_text().splitlines() if line.startswith("| ")]
     return [[cell.strip() for cell in line.strip("|").split("|")] for line in lines[1:]]
 
@@ -119,21 +85,16 @@ def evidence_scripts() -> set[str]:
 
 
 def test_every_evidence_script_is_in_the_table_and_every_row_has_its_script():
-    named = [modules_run_by(script) for _, script, _, _ in evidence_rows()]
+    named = [modules_run_by(script) for _, script, _ in evidence_rows()]
     assert all(len(modules) == 1 for modules in named), "one script per row"
     assert {module.removeprefix("evidence.") for modules in named for module in modules} == evidence_scripts()
     assert len(named) == len(evidence_scripts()), "one row per script"
 
 
-def test_every_evidence_row_says_where_its_claim_stands_and_how_long_it_takes():
-    for claim, script, page, takes in evidence_rows():
-        pages = [(EVIDENCE / target) for target in re.findall(r"\]\(([^)]+)\)", page)]
-        assert claim and pages, script
-        assert takes.startswith("about") or takes == "seconds", script
-        (module,) = modules_run_by(script)
-        name = module.removeprefix("evidence.")
-        text = "".join(path.read_text() for path in [*pages, *(ROOT / "benchmark/scenes").glob("*/README.md")])
-        assert re.search(rf"\b{name}\b", text), f"{name} is not named on {page}"
+def test_every_evidence_row_has_a_claim_and_its_time():
+    for claim, command, takes in evidence_rows():
+        assert claim, command
+        assert takes.startswith("about") or takes == "seconds", command
 
 
 @pytest.mark.parametrize("name", sorted(evidence_scripts()))

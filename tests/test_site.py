@@ -1,5 +1,6 @@
 """The documents as a site, and the tutorials as a reader runs them."""
 
+import gzip
 import importlib.util
 import os
 import re
@@ -14,7 +15,7 @@ from tests.browser import Browser, chromium
 
 ROOT = Path(__file__).parents[1]
 BLOCK = re.compile(r"^```(bash|python|text)\n(.*?)^```", re.MULTILINE | re.DOTALL)
-NAV = re.findall(r"^ +- (\S+\.md)$", (ROOT / "tools/site.yml").read_text(encoding="utf-8"), re.MULTILINE)
+NAV = re.findall(r"^ +- [^:]+: (\S+\.md)$", (ROOT / "tools/site.yml").read_text(encoding="utf-8"), re.MULTILINE)
 
 pytestmark = pytest.mark.checkout
 
@@ -30,7 +31,7 @@ def site(tmp_path_factory) -> Path:
     if importlib.util.find_spec("mkdocs") is None:
         pytest.skip("mkdocs is not installed: pip install '.[site]'")
     folder = tmp_path_factory.mktemp("site")
-    subprocess.run([sys.executable, str(ROOT / "tools/site.py"), str(folder)], check=True)
+    subprocess.run([sys.executable, "-m", "tools.site", str(folder)], cwd=ROOT, check=True)
     return folder
 
 
@@ -55,6 +56,30 @@ def test_search_works_from_a_disk(site, page):
         assert any("tomography" in path.read_text(encoding="utf-8").lower() for path in found)
         assert browser.errors == []
         assert all(address.startswith(("file:", "about:")) for address in browser.requests)
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(chromium() is None, reason="no Chromium here: the site is not opened")
+@pytest.mark.parametrize("words, page", [("spec fields", "spec"), ("arc_deg", "spec"), ("square-mm", "commands")])
+def test_a_field_and_an_option_are_found_in_the_reference_first(site, words, page):
+    with Browser() as browser:
+        browser.ask("Emulation.setFocusEmulationEnabled", {"enabled": True})
+        browser.open((site / "index.html").as_uri())
+        assert f"docs/{page}.html" in browser.run(SEARCH % words, seconds=120)[0]
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(chromium() is None, reason="no Chromium here: the site is not opened")
+@pytest.mark.parametrize("width", [390, 1400])
+def test_the_first_page_is_light_and_fits_the_screen(site, width):
+    """As a server sends it, its text packed."""
+    with Browser(width, 850, mobile=width < 500) as browser:
+        browser.open((site / "index.html").as_uri())
+        files = {Path(unquote(urlparse(address).path)) for address in browser.requests}
+        texts = (".html", ".css", ".js", ".svg")
+        sizes = [len(gzip.compress(p.read_bytes())) if p.suffix in texts else p.stat().st_size for p in files]
+        assert sum(sizes) < 300_000, dict(zip(files, sizes, strict=True))
+        assert browser.run("document.documentElement.scrollWidth") <= width
 
 
 SEARCH = """new Promise(async (done) => {

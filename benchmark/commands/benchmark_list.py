@@ -20,7 +20,7 @@ WHOLE = ("scene", "split", "solver", "picture", "spec")  # columns that are not 
 
 @dataclass
 class ListConfig:
-    """The scenes of GoF-Bench 1: what burns, how it is seen, and what it takes to make.
+    """List the scenes of GoF-Bench 1: fire, cameras, and what each costs to make.
 
     Examples:
       gof benchmark list --size preview

@@ -36,7 +36,8 @@ from gof_benchmark.suite.made import MadeScene, made_scenes, size_of
 
 @dataclass
 class ScoreConfig:
-    """Score submissions and write one page: means with intervals, ranks that are shared where scores cannot tell, wins.
+    """Score submissions and write one page: means with intervals, wins, and ranks that are shared where the scores do
+    not differ significantly.
 
     Examples:
       gof benchmark score mine others bench/preview --out board

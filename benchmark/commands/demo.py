@@ -31,7 +31,7 @@ AROUND_FRAMES = 2  # that the views from all around have
 
 @dataclass
 class DemoConfig:
-    """Make a real (small) fire with ground truth, reconstruct it from three videos, score it, bring it into Blender.
+    """Simulate a small fire, reconstruct it from three videos, score the result, bring it into Blender.
 
     Examples:
       gof demo

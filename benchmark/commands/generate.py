@@ -64,8 +64,8 @@ class GenerateConfig:
     scheduler: str | None = None
     """Address of a running dask scheduler whose workers share this file system; default: this machine."""
     tls: Path | None = None
-    """Folder with cert.pem and key.pem that the scheduler asks for; without it, anybody who reaches the scheduler can
-    run programs as you (docs/cluster.md)."""
+    """Folder with cert.pem and key.pem for the scheduler. Without them, everyone who can reach the scheduler can run
+    programs as you (docs/cluster.md)."""
     estimate: bool = False
     """Only predict time, memory and disk for this machine."""
 

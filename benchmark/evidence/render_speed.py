@@ -11,7 +11,6 @@ counts. The torch peer is a plain 16x16 tile loop under autograd, a weak baselin
 from __future__ import annotations
 
 import math
-import platform
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -23,6 +22,7 @@ import tyro
 
 from gof.core.files import write_json
 from gof.core.gaussians import TransientGaussians
+from gof.host.checks import cpu_name
 from gof_benchmark.evidence import child
 from gof_benchmark.evidence.render_scenes import camera, flame
 
@@ -381,7 +381,7 @@ def measure(quick: bool) -> dict[str, Any]:
     n, w, h = (20_000, 320, 180) if quick else (100_000, 640, 360)
     result: dict[str, Any] = {
         "machine": {
-            "cpu": _cpu_name(),
+            "cpu": cpu_name(),
             "threads": dr.thread_count(),
             "drjit": dr.__version__,
             "kernels": kernels().name,
@@ -521,14 +521,6 @@ def _growth_table(r: dict[str, Any]) -> list[str]:
         "  ".join(f"{k}{v:.2f}" for k, v in r["exponents"].items()),
         f"mean of the image: ours {r['mean']:.4f}, Mitsuba {mitsuba['mean']:.4f}",
     ]
-
-
-def _cpu_name() -> str:
-    try:
-        with open("/proc/cpuinfo") as f:
-            return next(line.split(":")[1].strip() for line in f if line.startswith("model name"))
-    except (OSError, StopIteration):
-        return platform.processor()
 
 
 if __name__ == "__main__":

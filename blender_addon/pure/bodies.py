@@ -75,7 +75,7 @@ def _told(bodies: list[Body], told, spec: SceneSpec) -> Iterator[str]:
     for body in bodies[:TOLD]:
         yield told(body, spec)
     if others := [body.name for body in bodies[TOLD:]]:
-        yield f"likewise {len(others)} more: {', '.join(map(repr, others[:10]))}{' ...' if others[10:] else ''}"
+        yield f"and {len(others)} more: {', '.join(map(repr, others[:10]))}{' ...' if others[10:] else ''}"
 
 
 def _in_burner(body: Body, spec: SceneSpec) -> str:

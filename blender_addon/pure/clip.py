@@ -21,9 +21,9 @@ class Clip:
     warm_up_frames: int = 90
     """Frames simulated before the first rendered one, so that the flame is developed."""
     time_scale: float = 1.0
-    """Simulated seconds per second of the dataset clock, below 1 for slow motion; velocities follow the clock."""
+    """Simulated time over time on the dataset clock, below 1 for slow motion; velocities follow the clock."""
     steps_per_frame: int = 1
-    """Solver steps from one frame to the next. An effect that looks between the frames may ask for more."""
+    """Solver steps from one frame to the next. An effect that needs instants between the frames raises it."""
 
     def __post_init__(self):
         require(self.frames >= 1, "clip.frames", "at least 1", self.frames)

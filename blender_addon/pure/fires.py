@@ -73,22 +73,21 @@ class Fire:
     """The emitter of fuel and what it burns: a fire that we simulate."""
 
     fuel: str = "propane_high"
-    """Name of a preset in FUELS."""
+    """What burns: how fast, in which colour, with how much soot."""
     shape: Literal["disc", "sphere", "logs"] = "disc"
     """disc: a flat round burner of 1/3 radius height; sphere: a ball; logs: crossed logs."""
     position: Vector = (0.0, 0.0, 0.12)
     """Centre of the emitter, world metres."""
     radius: float = 0.13
-    """Metres."""
+    """Radius of the emitter, metres."""
     jet_speed: float = 0.0
     """Upward speed at which the fuel leaves the burner, m/s."""
     light: Literal["soot", "sheets", "reaction"] = "soot"
-    """soot: the flame glows and absorbs by its soot, in all that burns, well exposed at every size (`pure.soot`);
-    sheets: likewise, in thin sheets; reaction: every metre of it shines the same and nothing is absorbed, as in specs
-    of version 1."""
+    """soot: soot glows and absorbs wherever gas burns, well exposed at every size (`pure.soot`); sheets: soot in thin
+    sheets; reaction: every metre emits equally and nothing is absorbed, as in specs of version 1."""
     speeds: Literal["physical", "solver"] = "physical"
     """physical: lift and burning follow the fire's size, so that gas is as fast as in real fires (`pure.similarity`);
-    solver: the same constants at every size, as in specs of version 1: much too fast below a metre."""
+    solver: one set of constants at every size, as in specs of version 1, which is much too fast below a metre."""
     intensity: float = 1.0
     """Factor on the flame's light."""
     logs: int = 3
@@ -100,7 +99,7 @@ class Fire:
         rule = 'left out unless fire.shape is "logs"'
         require(self.shape == "logs" or self.logs == Fire.logs, "fire.logs", rule, self.logs)
         require(0 <= self.jet_speed <= MOST_JET, "fire.jet_speed", f"in [0, {MOST_JET:g}] m/s", self.jet_speed)
-        require(self.fuel in FUELS, "fire.fuel", f"one of {sorted(FUELS)}", self.fuel)
+        require(self.fuel in FUELS, "fire.fuel", f"one of {', '.join(sorted(FUELS))}", self.fuel)
         require(self.radius > 0, "fire.radius", "positive", self.radius)
         require(0 < self.intensity <= 1e4, "fire.intensity", "in (0, 10000]", self.intensity)
 
@@ -162,7 +161,7 @@ class GridFire:
     position: Vector = (0.0, 0.0, 0.0)
     """Where the origin of the grids' axes stands, world metres."""
     radiance: float = 1.0
-    """Linear scene radiance per unit of emission: solvers know light up to one factor."""
+    """Linear scene radiance per unit of emission, as a solver gives light only up to a factor."""
 
     def __post_init__(self):
         require(self.radiance > 0, "fire.radiance", "positive", self.radiance)

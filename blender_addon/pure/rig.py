@@ -23,7 +23,7 @@ class Pose:
     """Where a camera stands and how it is turned, instead of its place on the arc."""
 
     position: Vector
-    """World metres."""
+    """Centre of the camera, world metres."""
     rotation: tuple[float, float, float, float]
     """Quaternion (w, x, y, z) from Blender's camera axes (x right, y up, looking along -z) to the world."""
 
@@ -72,7 +72,9 @@ class Rig:
         require(self.radius > 0, "cameras.radius", "positive", self.radius)
         require(1 <= self.focal_mm <= 5000, "cameras.focal_mm", "in [1, 5000] mm", self.focal_mm)
         total = self.count + self.eval_count
-        require(len(self.placed) in (0, total), "cameras.placed", f"empty, or {total} poses", len(self.placed))
+        require(
+            len(self.placed) in (0, total), "cameras.placed", "empty, or one pose for each camera", len(self.placed)
+        )
         sides = min(self.sensor_px) >= 16 and max(self.sensor_px) <= MOST_PIXELS
         require(sides, "cameras.sensor_px", f"16 to {MOST_PIXELS} pixels each way", self.sensor_px)
 

@@ -69,10 +69,13 @@ class Display:
     """How linear light becomes the PNG: Blender's colour management."""
 
     view_transform: Literal["Standard", "Filmic", "AgX"] = "Filmic"
+    """Blender's view transform."""
     look: str = "None"
+    """Blender's look for that view transform, such as "High Contrast"."""
     exposure: float = 0.0
-    """Stops."""
+    """Exposure, stops."""
     gamma: float = 1.0
+    """Gamma after the view transform."""
 
     def __post_init__(self):
         # Blender would clamp what is outside, and the dataset would say what the pictures are not.
@@ -95,22 +98,29 @@ class SceneSpec:
     """Everything that defines a dataset. Only the effects listed here are simulated, rendered and paid for."""
 
     name: str
+    """Name of the scene, and of its dataset where no other is given."""
     seed: int = 0
+    """Seed of everything that is drawn at random."""
     clip: Clip = field(default_factory=Clip)
+    """Number of frames, their rate, and how long the fire burns before the first."""
     domain: Domain | None = None
-    """The box that we simulate; None for a fire of grids, which has its own. Left out: `Domain()`."""
+    """The simulated box; left out for a fire of another solver, whose grids have their own."""
     fire: GridFire | Fire = field(default_factory=Fire)
-    """The fire; in JSON an object with "grids" is a `GridFire`."""
+    """The fire: burner and fuel or, with the field `grids`, the fire of another solver."""
     cameras: Rig = field(default_factory=Rig)
+    """Number of cameras, their places, lens and sensor."""
     render: Render = field(default_factory=Render)
+    """Size and quality of the pictures."""
     background: Literal["studio", "workshop", "classroom", "cloister", "ground", "blend_file"] = "workshop"
+    """Surroundings of the fire; ground: open ground, a wall and a burner that follow the size of the domain."""
     blend_file: BlendFile | None = None
     """The user's scene, for the background "blend_file"."""
     effects: tuple[Any, ...] = ()
-    """Settings objects of modules in ``pure/effects``; in JSON ``{"name": "wind", ...its settings}``."""
+    """Effects, each as `{"name": "wind"}` with its settings."""
     ground_truth: tuple[Literal["grids", "flow", "vdb"], ...] = ()
     """Truth beside the velocity: grids (flame, heat, density), flow (optical flow), vdb (OpenVDB per frame)."""
     display: Display = field(default_factory=Display)
+    """Tone mapping of the PNG pictures; EXR files keep linear light."""
 
     def __post_init__(self):
         if self.domain is None and isinstance(self.fire, Fire):

@@ -54,7 +54,7 @@ def box_of(cloud: GaussianCloud, times_s: np.ndarray, voxel_m: float) -> tuple[n
             lows.append(np.percentile(place[seen] - reach, 0.1, axis=0))  # without the runaways
             highs.append(np.percentile(place[seen] + reach, 99.9, axis=0))
     if not lows:
-        raise VoxelError("nothing is seen in these frames; fit the scene's frame range to the clip")
+        raise VoxelError("nothing is visible in these frames; fit the scene's frame range to the clip")
     low = np.floor(np.min(lows, axis=0) / voxel_m)
     count = np.ceil(np.max(highs, axis=0) / voxel_m) - low
     if not np.isfinite(count).all() or count.prod() > MOST_VOXELS:

@@ -37,7 +37,7 @@ def describe(camera: bpy.types.Object, scene: bpy.types.Scene, to_file: Matrix) 
         SpecError: it is orthographic or a panorama.
     """
     if camera.data.type != "PERSP":
-        raise SpecError(f"{camera.name} is no perspective camera, and these files know no others")
+        raise SpecError(f"{camera.name} is no perspective camera; these files hold perspective cameras only")
     render = scene.render
     share = render.resolution_percentage / 100
     width, height = (int(side * share) for side in (render.resolution_x, render.resolution_y))

@@ -11,11 +11,10 @@ import typing
 import bpy
 
 from ..pure import effects
+from ..pure.units import unit_in, unit_of
 from ..scene.effects import changes_scene
 from .panel import number, vector
 
-SUFFIXES = {"m_s": "m/s", "ev_per_s": "EV/s", "us": "µs", "s": "s", "deg": "°", "ev": "EV", "m": "m"}  # longest first
-WORDS = {"metres": "m", "seconds": "s", "electrons": "e⁻", "stops": "EV", "metre": "1/m", "cells": "cells"}
 DEFAULT = ("vorticity",)  # without it the solver's own diffusion makes a flame like candle wax
 
 
@@ -30,13 +29,9 @@ def _descriptions(settings: type) -> dict[str, str]:
 
 
 def label(name: str, note: str) -> str:
-    """Return a field's name on a panel: its name, and its unit by the suffix or, without one, by its description."""
-    for suffix, unit in SUFFIXES.items():
-        if name.endswith(f"_{suffix}"):
-            return f"{name.removesuffix('_' + suffix).replace('_', ' ').capitalize()} ({unit})"
-    words = note.replace(",", " ").replace(".", " ").split()
-    unit = next((WORDS[word] for word in reversed(words) if word in WORDS), None)
-    return name.replace("_", " ").capitalize() + (f" ({unit})" if unit else "")
+    """Return a field's name on a panel, with its unit in brackets."""
+    unit = unit_of(name, note)
+    return unit_in(name)[0].replace("_", " ").capitalize() + (f" ({unit})" if unit else "")
 
 
 def _properties(settings: type) -> dict:

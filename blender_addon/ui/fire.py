@@ -133,7 +133,7 @@ class GOF_PG_fire(bpy.types.PropertyGroup):
         description="How the flame's light follows from the simulation",
         items=[
             ("soot", "Soot", "Glows and absorbs by its soot: well exposed at every size"),
-            ("sheets", "Soot in Sheets", "Likewise, in thin sheets: folds and sharp edges instead of a soft glow"),
+            ("sheets", "Soot in Sheets", "Soot in thin sheets: folds and sharp edges instead of a soft glow"),
             (
                 "reaction",
                 "Reaction",

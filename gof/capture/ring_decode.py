@@ -302,8 +302,8 @@ def _fit_shared(
     scaled = normal / np.outer(size, size)
     if np.linalg.eigvalsh(scaled)[0] < LEAST_KNOWN:
         raise NotDecodable(
-            "the frames show too few places of the ring to tell the delay of the picture's lines; film at another rate "
-            "or longer, or give --row-time and --readout"
+            "the frames show too few places of the ring to determine the delay of the picture's lines; film at another "
+            "rate or longer, or give --row-time and --readout"
         )
     spread = robust_scale(miss(found.x)) + 1e-3
     error = spread * np.sqrt(np.diag(np.linalg.inv(scaled))) / size

@@ -104,8 +104,8 @@ def _odd_rate(times: VideoTimes) -> list[str]:
     times."""
     off = times.container_fps and abs(times.fps / times.container_fps - 1)
     tick = (
-        "is the board's clock another than was said (--tick-us, or a ring board's step_us)? All times are stretched "
-        "then, and speeds with them"
+        "does the board's clock differ from what was given (--tick-us, or a ring board's step_us)? All times are "
+        "stretched then, and speeds with them"
     )
     if off and SAME_RATE < off < LIKE_RATE:
         return [f"by the board it ran at {times.fps:.2f} fps, its file says {times.container_fps:.2f}: {tick}"]

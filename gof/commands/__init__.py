@@ -64,7 +64,7 @@ COMMANDS = {
     "video": Command("gof.commands.video", "results as a film from any view", "show"),
     "figure": Command("gof.commands.figure", "figures for papers, as PDF, SVG or PNG", "show"),
     "convert": Command(
-        "gof.commands.convert", "any method's result -> another format; what its files do not say", "publish"
+        "gof.commands.convert", "any method's result -> another format; a note of its units and axes", "publish"
     ),
     "pack": Command("gof.commands.pack", "datasets -> archives for a data host", "publish"),
     "unpack": Command("gof.commands.unpack", "archives of gof pack -> datasets", "publish"),

@@ -31,8 +31,9 @@ class BoardConfig:
     """
 
     action: tyro.conf.Positional[Literal["find", "set", "start", "stop", "monitor", "test", "self-test"]]
+    """Action on the board."""
     port: str | None = None
-    """Serial port; found by itself when one board is plugged in."""
+    """Serial port. Default: that of the only board plugged in."""
     tick_us: Annotated[int | None, tyro.conf.arg(metavar="US")] = None
     """set: length of a tick (a period is 10 ticks; 400 suits 400 fps)."""
     count: int | None = None
@@ -61,7 +62,7 @@ def _find() -> dict:
             print(f"{board.port}: {RESET_SAID}")
     if not boards:
         ports = candidate_ports()
-        looked = f"asked {', '.join(ports)}: none answers as a board" if ports else "no USB serial port is present"
+        looked = f"asked {', '.join(ports)}: no board answered" if ports else "no USB serial port is present"
         raise BoardError(
             f"no LED board found ({looked}). Use a USB cable that carries data, flash the firmware "
             "(docs/capture_board.md), or name the port with --port"

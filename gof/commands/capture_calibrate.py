@@ -23,7 +23,7 @@ from gof.host.terminal import progress_bar
 
 @dataclass(frozen=True)
 class CalibrateConfig:
-    """Intrinsics of every camera from footage of the ChArUco target (`gof capture target` draws it).
+    """Calibrate the intrinsics of every camera from footage of the ChArUco target (`gof capture target` draws it).
 
     Examples:
       gof capture calibrate c0.mp4 c1.mp4 c2.mp4 --out cameras.json

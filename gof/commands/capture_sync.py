@@ -57,8 +57,8 @@ class SyncConfig:
     video."""
     board: str = "auto"
     """Board in the pictures: "auto" recognises a built-in one (gof_board, paper_rig, rocsync); or its name, or the JSON
-    file of your own. A board that the pictures speak against is refused. Where "auto" sees none, and with "none",
-    clocks are found by the films' sound, else by the flames' light."""
+    file of your own. A board that contradicts the pictures is refused. Where "auto" finds none, and with "none", the
+    films' sound or else the flames' light synchronises the clocks."""
     board_points: Path | None = None
     """JSON of points of the board marked by hand, for cameras in which its marker is partly hidden or cut off:
     {"cam_1": {"corners": {"0": [x, y]}, "leds": {"5": [x, y]}}}, four or more in all; see docs/capture.md."""
@@ -113,7 +113,10 @@ def main(argv: list[str]) -> int:
 
     result = synchronise(config.videos, board, decoding, draw, known, config.estimate, points)
     if not any(camera.times for camera in result.cameras):
-        raise GofError(f"no camera could be decoded with board '{board.name}': {said_once(result)} {WAYS_OUT}")
+        raise GofError(
+            f"no camera could be decoded with board '{board.name}': {said_once(result)} {WAYS_OUT}",
+            anchor="no-camera-could-be-decoded",
+        )
     write_record(target, result)
     for name, chart in charts.items():
         chart.write(folder / f"residuals_{name}.png")
@@ -142,7 +145,8 @@ def sync_without_board(
     except GofError as e:
         raise GofError(
             f"no camera could be decoded: {', '.join(names)}: the marker of a known LED board is not there "
-            f"({NO_MARKER}), and {e}. {WAYS_OUT}"
+            f"({NO_MARKER}), and {e}. {WAYS_OUT}",
+            anchor="no-camera-could-be-decoded",
         ) from e
     write_record(folder / FILE, result)
     used = {"sound": "the films' sound", "flame": "the flames' light"}[result.cameras[0].times.clock]

@@ -15,7 +15,7 @@ from importlib.metadata import PackageNotFoundError, entry_points, metadata
 from gof import __version__
 from gof.commands import COMMANDS, GROUPS, HELP_WORDS, Command, everywhere, no_such, renamed
 from gof.commands.everywhere import DEBUG_VARIABLE, FAULTS
-from gof.core.errors import GofError, printable
+from gof.core.errors import GofError, in_words, printable
 from gof.core.files import follow_links_of
 
 # What a user's disk can do to a run.
@@ -29,7 +29,7 @@ NO_MEMORY = re.compile(
 )
 
 HELP = """\
-gof {version} - Gaussians on Fire: three videos of a flame to transient 3D Gaussians with real velocities.
+gof {version} - Gaussians on Fire: a flame from synchronised videos as moving 3D Gaussians with velocities in m/s.
 
 usage: gof COMMAND [OPTIONS]        gof help COMMAND, or gof COMMAND --help, explains one command
 
@@ -46,8 +46,8 @@ commands:
 for every command, before or after its name:
 {everywhere}
 
-Work that was stopped goes on with the same command. A finished file that you named is kept, unless --overwrite.
-Pages that texts name as docs/NAME.md are in the folder docs of the source, which packages do not hold.
+Run a stopped command again and it continues. A finished file is kept unless --overwrite.
+Pages named docs/NAME.md are in the source's folder docs, which packages do not contain.
 {ask}
 """
 PROJECT = "gaussians-on-fire"
@@ -229,7 +229,7 @@ def run(name: str, argv: list[str]) -> int:
     except GofError as e:
         if os.environ.get(DEBUG_VARIABLE, FAULTS) != FAULTS:
             traceback.print_exc()
-        print(f"gof {name}: {e}", file=sys.stderr)
+        print(f"gof {name}: {in_words(e)}", file=sys.stderr)
         return 1
     except MemoryError as e:
         print(

@@ -37,8 +37,8 @@ class ConvertConfig:
     one instant, with velocities); .spz and .sog (one instant, compressed); a name without a suffix is a folder of 3DGS
     PLYs, one for each frame.
 
-    Without OUT, what the options say of another method's files is written down beside them, in RESULT.gof.json; every
-    command that reads RESULT reads it from there. docs/importers.md says which method needs what.
+    Without OUT, the options that describe another method's files are written to RESULT.gof.json beside them, and every
+    command that reads RESULT uses them. docs/importers.md lists what each method needs.
     """
 
     FIRST: ClassVar = ("time", "clip", "frame_time", "time_unit", "time_zero", "world", "flame_only")
@@ -46,7 +46,7 @@ class ConvertConfig:
     result: tyro.conf.Positional[Annotated[Path, tyro.conf.arg(metavar="RESULT")]]
     """File or folder of any method that docs/importers.md lists."""
     out: tyro.conf.Positional[Annotated[Path | None, tyro.conf.arg(metavar="OUT")]] = None
-    """File or folder to write; the suffix says which format."""
+    """File or folder to write; its suffix chooses the format."""
     time: Seconds | None = None
     """The instant in a .glb, .spz or .sog; default: the middle of the Gaussians' times."""
     clip: tuple[Seconds, Seconds] | None = None

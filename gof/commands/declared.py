@@ -63,7 +63,7 @@ def config_of(module: str) -> type:
 
 def options_of(config: type) -> list[Option]:
     """Return the positional arguments and options of a config class, in their order."""
-    texts, hints = _texts(config), typing.get_type_hints(config, include_extras=True)
+    texts, hints = texts_of(config), typing.get_type_hints(config, include_extras=True)
     return [option for field in dataclasses.fields(config) for option in _options(field, hints[field.name], texts)]
 
 
@@ -75,6 +75,18 @@ def first_of(config: type) -> list[Option]:
         return options
     by_field = {option.field: option for option in options}
     return [by_field[name] for name in first]
+
+
+def texts_of(config: type) -> dict[str, str]:
+    """Return the strings under the fields of a class, and of those that it is made from, as one line each."""
+    found: dict[str, str] = {}
+    for kind in reversed(config.__mro__[:-1]):
+        body = ast.parse(textwrap.dedent(inspect.getsource(kind))).body[0].body
+        for line, after in itertools.pairwise(body):
+            text = isinstance(after, ast.Expr) and isinstance(after.value, ast.Constant) and after.value.value
+            if isinstance(line, ast.AnnAssign) and isinstance(text, str):
+                found[line.target.id] = " ".join(text.split())
+    return found
 
 
 def _options(field: dataclasses.Field, hint: Any, texts: dict[str, str]) -> Iterator[Option]:
@@ -149,15 +161,3 @@ def _several(hint: Any) -> bool:
     if typing.get_origin(kind) in (typing.Union, types.UnionType):
         return any(_several(part) for part in typing.get_args(kind))
     return typing.get_origin(kind) in (tuple, list)
-
-
-def _texts(config: type) -> dict[str, str]:
-    """Return the strings under the fields of a class, and of those that it is made from, as one line each."""
-    found: dict[str, str] = {}
-    for kind in reversed(config.__mro__[:-1]):
-        body = ast.parse(textwrap.dedent(inspect.getsource(kind))).body[0].body
-        for line, after in itertools.pairwise(body):
-            text = isinstance(after, ast.Expr) and isinstance(after.value, ast.Constant) and after.value.value
-            if isinstance(line, ast.AnnAssign) and isinstance(text, str):
-                found[line.target.id] = " ".join(text.split())
-    return found

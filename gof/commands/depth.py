@@ -27,8 +27,8 @@ class DepthConfig:
       gof depth data/fire --plates
 
     OUT/depth/CAMERA/000000.npy is camera z in metres, OUT/disparity/CAMERA/000000.npy relative inverse depth. With
-    --weights they are those of a monocular network, as the paper has them, else those of stereo between the cameras,
-    completed along the pictures' edges. No method may learn from them.
+    --weights a monocular network estimates them, as in the paper; otherwise stereo between the cameras, completed along
+    the pictures' edges. No method may train on them.
 
     With --plates the maps are those of the scene without fire, for `gof background`: DATASET/depth/CAMERA.npy and
     DATASET/points.ply, by semi-global stereo on the plates (the paper: by COLMAP's PatchMatch, which needs CUDA and is
@@ -40,8 +40,7 @@ class DepthConfig:
     dataset: tyro.conf.Positional[Annotated[Path, tyro.conf.arg(metavar="DATASET")]]
     """Dataset folder."""
     out: Path | None = None
-    """Folder for the maps; maps of the same dataset that are there are kept. Default: beside the dataset,
-    DATASET_depth."""
+    """Folder for the maps; maps of this dataset that exist are kept. Default: beside the dataset, DATASET_depth."""
     weights: Path | None = None
     """Folder of a Depth-Anything-V2 checkpoint in Hugging Face form; never downloaded, and never run with published
     weights. Needs torch and transformers."""

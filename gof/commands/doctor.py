@@ -23,8 +23,8 @@ class DoctorConfig:
     Examples:
       gof doctor
 
-    Exit status 0: what is installed works. 1: something is broken (the table says how to mend it). What is missing is
-        optional. The whole table belongs into a bug report.
+    Exit status 0: everything installed works. 1: something is broken (the table names the repair). Missing parts are
+    optional. Put the whole table into a bug report.
     """
 
 

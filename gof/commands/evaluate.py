@@ -67,8 +67,7 @@ class EvaluateConfig:
     dataset: Path
     """Dataset folder: its pictures and, where it has them, true velocities."""
     out: Path | None = None
-    """Folder to write scores.json to. Default, without --json: beside the result, where older scores of the same result
-    are replaced."""
+    """Folder for scores.json. Default, without --json: beside the result, where its older scores are replaced."""
     align: Path | None = None
     """Cameras of the method's own world (COLMAP folder, dataset.json, transforms.json, or JSON name -> 4x4
     world_to_camera), to move it into ours."""
@@ -140,7 +139,10 @@ def _beside(result: Path) -> Path:
     except DataFormatError as e:
         raise GofError(f"{path}: is in the way and holds no scores that can be read; give --out FOLDER") from e
     if of is None or Path(of).resolve() not in (result.resolve(), (result / "result.npz").resolve()):
-        raise GofError(f"{path}: holds the scores of another result ({of or 'unknown'}); give --out FOLDER")
+        raise GofError(
+            f"{path}: holds the scores of another result ({of or 'unknown'}); give --out FOLDER",
+            anchor="holds-the-scores-of-another-result",
+        )
     return path
 
 

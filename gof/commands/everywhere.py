@@ -20,9 +20,9 @@ DEBUG_VARIABLE, FAULTS = "GOF_DEBUG", "faults"  # with this value for faults of 
 
 OPTIONS = {  # as help shows them
     "--json FILE": "also write the command's figures to this file",
-    "--quiet": "print errors and warnings alone, and no progress",
-    "--verbose": f"print the traceback of an error too; so does {DEBUG_VARIABLE}=1",
-    "--overwrite": "replace what is there already and cannot be resumed",
+    "--quiet": "print errors and warnings only",
+    "--verbose": f"also print the traceback of an error, as {DEBUG_VARIABLE}=1 does",
+    "--overwrite": "replace existing output that cannot be resumed",
 }
 
 

@@ -37,7 +37,8 @@ TAGGED = ("auto", "accelerometer")  # ways up that ask the files' sensors
 
 @dataclass
 class IngestConfig:
-    """Videos of a fire by fixed cameras -> a dataset folder: pictures, fire-free plates, camera poses, frame times.
+    """Make a dataset from videos of a fire by fixed cameras: pictures, fire-free backgrounds (plates), camera poses,
+    frame times.
 
     Examples:
       gof ingest cam_0.mp4 cam_1.mp4 cam_2.mp4 --times sync/times.json --cameras cameras.json
@@ -56,8 +57,8 @@ class IngestConfig:
     out: Path | None = None
     """Folder of the dataset to write. Default: beside the first video, named after it: cam_0_dataset."""
     times: Annotated[tuple[str, ...], tyro.conf.arg(metavar="FILE|FPS|stamps")] = ()
-    """When the frames were taken: times.json of `gof capture sync` for the same videos in the same order; or the true
-    capture rate of all cameras, or one each; or "stamps": the files' own time stamps are true seconds (a phone's
+    """When the frames were taken: times.json of `gof capture sync` for these videos in this order; or the true capture
+    rate, one for all cameras or one each; or "stamps", where the files' time stamps are true seconds (a phone's
     variable rate, not slow motion)."""
     cameras: Path | None = None
     """JSON: {"cameras": [{"width", "height", "K", "distortion"?, "world_to_camera"?}, ...]} of the pictures as stored,
@@ -67,8 +68,8 @@ class IngestConfig:
     """Horizontal field of view of the stored pictures, for all cameras, when there is no --cameras. A phone stores an
     upright video lying, with a rotation tag: then it is along the long side."""
     turn: tuple[Turn | Literal["auto"], ...] = ("auto",)
-    """How to turn the stored pictures upright, one for all or one each; "auto": as the file's rotation tag says (phones
-    write them)."""
+    """How to turn the stored pictures upright, one for all or one each; "auto": by the file's rotation tag (phones
+    write it)."""
     plates: Annotated[str, tyro.conf.arg(metavar="steady|minimum|FOLDER")] = "steady"
     """The fire-free picture of each camera: "steady", its minimum over time where fire passed and the temporal median
     elsewhere; "minimum" everywhere; steady:200 or minimum:200 of so many frames around the clip (--start, --frames),
@@ -90,13 +91,13 @@ class IngestConfig:
     """"features": structure from motion; "points": board or --points, refined with features; "auto": the first that
     holds."""
     rig: Path | None = None
-    """Dataset made from another clip of the same rig: its poses are taken if no camera moved since (the still pictures
-    are compared) and nothing else speaks against them."""
+    """Dataset made from another clip of the same rig. Its poses are used if the still pictures show that no camera
+    moved since, and no other evidence contradicts them."""
     with_clip: list[Path] = field(default_factory=list)
     """Folders of more clips of the same rig, with videos of the same names: features and boards of all clips solve the
     poses together."""
     up: UpChoice = "auto"
-    """Direction of Z: "points" of --points that say what is upright or level, the cameras' "accelerometer" (GoPro),
+    """Direction of Z: "points" of --points that mark what is upright or level, the cameras' "accelerometer" (GoPro),
     "edges" of upright things (posts, walls), the sync "board" standing upright, the "cameras" held level on average;
     "auto": the first of points, accelerometers (two that agree), edges (if they agree) and cameras that says it."""
     max_size: Pixels | None = None
@@ -225,7 +226,9 @@ def require_what_no_file_says(config: IngestConfig, argv: list[str]) -> None:
         more += ["--fov", "70"]
     if missing:
         command = shlex.join(["gof", "ingest", *argv, *more])
-        raise GofError(f"no file says {'; nor '.join(missing)}. With your own numbers: {command}")
+        raise GofError(
+            f"no file says {'; nor '.join(missing)}. With your own numbers: {command}", anchor="no-file-says"
+        )
 
 
 def _stated_rate(video: Path) -> float:

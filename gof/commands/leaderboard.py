@@ -55,7 +55,8 @@ class LeaderboardConfig:
     folders: tyro.conf.Positional[Annotated[list[Path], tyro.conf.arg(metavar="FOLDER ...")]]
     """Folders with scores.json of gof evaluate; also method.json ("name", "train_seconds") and costs.json, if there."""
     dataset: Path | None = None
-    """Dataset folder: adds the results' pictures side by side, and stream plots with the truth beside each method."""
+    """Dataset folder: adds the results' pictures side by side, and stream plots of the ground truth beside each
+    method."""
     out: Path | None = None
     """Folder for leaderboard.json, .csv, .md and .html. Default: "leaderboard" beside the first folder, where older
     ones are replaced."""

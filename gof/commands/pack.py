@@ -19,7 +19,7 @@ from gof.host.terminal import progress_bar
 
 @dataclass
 class PackConfig:
-    """One archive per dataset, with checksums and a card that says what it is, who made it, and what others may do.
+    """Pack each dataset into one archive with checksums and a card: content, authors, licence.
 
     Examples:
       gof pack data/fire --licence CC-BY-4.0 --authors "Your Name"

@@ -44,14 +44,14 @@ class ReconstructConfig:
     """Folder for the result; a half-finished reconstruction there is resumed. Default: beside the dataset,
     DATASET_flame."""
     preset: Preset = "preview"
-    """How much work: sets --steps, --gaussians, --voxels and --max-size, each of which can also be given by itself."""
+    """Amount of work: sets --steps, --gaussians, --voxels and --max-size, which can also be set one by one."""
     steps: int | None = None
     """Optimisation steps, one training picture each."""
     gaussians: int | None = None
     """How many Gaussians in all frames together."""
     voxels: int | None = None
-    """Voxels along the longest side of the flame's box: how finely light is told apart, and a bound of the Gaussians'
-    size. The gas' velocity is always found on 72, from which the flow prior has learned."""
+    """Voxels along the longest side of the flame's box: resolution of the light, and a bound of the Gaussians' size.
+    The gas' velocity is always computed on 72, the resolution at which the flow prior was trained."""
     max_size: Pixels | None = None
     """Pictures with a longer side are shrunk to it."""
     method: MethodName = "gof"
@@ -59,18 +59,18 @@ class ReconstructConfig:
     things may still differ from the paper: the optical flow (give --flow memfof), the plates (`gof ingest --plates
     minimum`), and an exposure per camera, which is missing here."""
     scene: SceneName | None = None
-    """What the flame is drawn in: `plates`, a picture without fire per camera (fast; the flame is in front of
-    everything), or `gaussians`, the still scene in 3D (hides flame behind it, and is seen from any side; the result
-    holds it). Default: plates, with --method paper gaussians."""
+    """Background of the flame: `plates`, a picture without fire per camera (fast; the flame is in front of everything),
+    or `gaussians`, the still scene in 3D (can hide the flame, can be seen from any side, is part of the result).
+    Default: plates, with --method paper gaussians."""
     flow: FlowName = "dis"
     """Optical flow of the pictures: OpenCV's DIS, DeepFlow or TV-L1, or MEMFOF with --flow-weights."""
     flow_weights: Path | None = None
     """Folder with config.json and model.safetensors of a MEMFOF checkpoint; never downloaded."""
     flow_prior: bool = True
-    """Take the motion that is seen for the gas' velocity, as the paper does. Otherwise the gas' velocity, and how sure
-    it is, follow from what is seen as learnt on simulated flames."""
+    """Use the apparent motion as the gas' velocity, as the paper does. By default a prior trained on simulated flames
+    converts apparent motion to gas velocity and its uncertainty."""
     until: Until = "result"
-    """Stop after this stage, to look at its pictures; the same command without --until goes on from there."""
+    """Stop after this stage, to look at its pictures; the command without --until goes on from there."""
     ablation: Ablation = "none"
     """Leave a part of the method out, as in the paper's ablations (see gof.reconstruct.ablations)."""
     seed: int = 0

@@ -27,7 +27,7 @@ def of_command(config: type, command: str, whole: bool = False) -> str:
     Args:
         whole: with all options and everything that the docstring says.
     """
-    summary, more, examples = _parts(inspect.getdoc(config))
+    summary, more, examples = parts_of_docstring(inspect.getdoc(config))
     options = options_of(config)
     arguments = [option for option in options if option.positional]
     named = [option for option in options if not option.positional]
@@ -54,7 +54,7 @@ def of_command(config: type, command: str, whole: bool = False) -> str:
     return "\n\n".join([*parts, *([_filled(end)] if end else [])])
 
 
-def _parts(text: str) -> tuple[str, list[str], list[str]]:
+def parts_of_docstring(text: str) -> tuple[str, list[str], list[str]]:
     """Return a docstring's first paragraph, the others, and its examples."""
     text, _, examples = text.partition(f"{EXAMPLES}\n")
     first, *more = [" ".join(part.split()) for part in text.strip().split("\n\n")]

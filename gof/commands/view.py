@@ -20,8 +20,8 @@ from gof.look.player.opened import dataset_beside
 
 @dataclass
 class ViewConfig:
-    """Show a result in the browser, with the page of gof share. Follows a reconstruction that still runs: its latest
-    snapshot appears by itself, and the view stays.
+    """Show a result in the browser, with the page of gof share. It follows a reconstruction that still runs: the latest
+    snapshot appears, and the view stays.
 
     The page is for this machine alone. From another: ssh -L 8080:127.0.0.1:PORT, or send the file of gof share.
 

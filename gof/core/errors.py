@@ -17,7 +17,14 @@ class GofError(Exception):
     """Base of every error this package raises on purpose; command lines print it without a traceback.
 
     Its text may quote files: it is `printable`, and cut in the middle where a file would fill the terminal.
+
+    Attributes:
+        anchor: of the heading in docs/troubleshooting.md that explains the error; "" where none does.
     """
+
+    def __init__(self, *words: object, anchor: str = ""):
+        super().__init__(*words)
+        self.anchor = anchor
 
     def __str__(self) -> str:
         text = printable(super().__str__())
@@ -36,13 +43,18 @@ class MissingDependencyError(GofError):
     """A library, system package or weight file is absent; says what it is for and how to get it."""
 
 
+def in_words(error: GofError) -> str:
+    """Return an error's text and, where a page says more, that page."""
+    return f"{error}\nmore: docs/troubleshooting.md#{error.anchor}" if error.anchor else str(error)
+
+
 @contextmanager
 def naming(path: Path) -> Iterator[None]:
     """Put a file's name before the text of an error of ours that does not hold it."""
     try:
         yield
     except GofError as e:
-        raise e if str(path) in str(e) else type(e)(f"{path}: {e}") from e
+        raise e if str(path) in str(e) else type(e)(f"{path}: {e}", anchor=e.anchor) from e
 
 
 def require_finite(name: str, array, context: str = "") -> None:

@@ -42,7 +42,7 @@ class Motion:
 
     Args:
         function: time on the dataset clock, s -> `State`. Also asked half a `step_s` beside the scored times.
-        covered_s: first and last second that it knows.
+        covered_s: first and last second that it covers.
         times_s: when it is sampled to be saved: the frames' times and half steps, say.
         step_s: over which velocities are differences where a state has none. A network in float32 knows no less than
             about 1e-7 of its distance from the origin; let it compute in float64, or take a longer step.
@@ -62,7 +62,7 @@ class Motion:
 
     @cached_property
     def dynamic(self) -> np.ndarray:
-        """(N,) bool, of a time that it knows."""
+        """(N,) bool, of a time that it covers."""
         known = [t for t in (*(() if self.times_s is None else self.times_s[:1]), *self.covered_s) if np.isfinite(t)]
         return self.state_at(float(known[0]) if known else 0.0).dynamic
 
@@ -79,7 +79,7 @@ class Motion:
         first, last = self.covered_s
         if not first - 1e-6 <= time_s <= last + 1e-6:
             raise DataFormatError(
-                f"{self.source}: time {time_s:g} s is outside the {first:g}..{last:g} s that it knows"
+                f"{self.source}: time {time_s:g} s is outside the {first:g}..{last:g} s that it covers"
             )
         state = self.function(time_s)
         n = len(state.position)

@@ -322,7 +322,7 @@ def _pictures(run: Run, dataset: Dataset, gaussians: MovingGaussians, name: str)
     ours = draw(gaussians, dataset, run.result, run.scores.import_.over_plates, dataset.test_frames)
     worst = min(((_like_the_submitted(run, dataset, shown), shown) for shown in ours), key=lambda pair: pair[0])
     said = f"the least alike of them is {worst[0]:.1f} dB from its Gaussians drawn here (camera {worst[1].camera}, "
-    said += f"frame {worst[1].frame}; {ALIKE_DB:g} dB are asked for)"
+    said += f"frame {worst[1].frame}; {ALIKE_DB:g} dB are required)"
     return Finding(name, "checkpoint reproduces its pictures", "ok" if worst[0] >= ALIKE_DB else "refused", said)
 
 

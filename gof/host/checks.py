@@ -260,7 +260,7 @@ def machine() -> dict[str, str]:
 
     cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count()
     return {
-        "CPU": _processor(),
+        "CPU": cpu_name(),
         "cores": str(cores),
         "memory": f"{psutil.virtual_memory().total / 2**30:.1f} GiB",
         "system": f"{platform.system()} {platform.release().split('-')[0]} ({platform.machine()})",
@@ -286,7 +286,8 @@ def cpu_features() -> list[str]:
     return [name for name in FEATURES if name in flags]
 
 
-def _processor() -> str:
+def cpu_name() -> str:
+    """Return the model of the CPU, "unknown" where the system does not name it."""
     return _cpuinfo("model name") or platform.processor() or "unknown"
 
 

@@ -42,7 +42,7 @@ def place_alone(
     tip, foot = flame_ends(clip, plate)
     forward = np.array([0.0, 0.0, 1.0]) - up[2] * up
     if abs(up[2]) > np.sin(np.deg2rad(STEEPEST_DEG)):
-        raise GofError("the only camera looks too steeply up or down to tell how far away its flame is")
+        raise GofError("the only camera looks too steeply up or down to determine the distance of its flame")
     forward /= np.linalg.norm(forward)
     ray_of_foot, ray_of_tip = (np.linalg.solve(lens.K, [*end, 1.0]) for end in (foot, tip))
     height = options.flame_height_m or 1.0

@@ -39,7 +39,7 @@ def save(gaussians: TransientGaussians, path: Path, time_s: float, source: str =
         DataFormatError: there is no Gaussian.   NonFiniteError: a value is beyond what a float32 can hold.
     """
     if not len(gaussians):
-        raise DataFormatError(f"{path}: the result holds no Gaussian, and glTF knows no empty list of points")
+        raise DataFormatError(f"{path}: the result holds no Gaussian, and glTF allows no empty list of points")
     g = gaussians.transformed(Y_UP)
     columns = _columns(g, time_s)
     for name, values in columns.items():

@@ -92,8 +92,8 @@ def marks(row: BoardRow) -> tuple[str, str]:
     methods."""
     if row.trivial_baseline:
         return "", ""
-    knew = "not said" if row.prior is None else ", ".join(row.prior) or "nothing"
-    return ", ".join(row.given) or "not said", knew
+    knew = "not stated" if row.prior is None else ", ".join(row.prior) or "nothing"
+    return ", ".join(row.given) or "not stated", knew
 
 
 def suite_markdown(board: SuiteBoard) -> str:

@@ -246,7 +246,8 @@ def _poses(views: list[_View]) -> Iterator[Fault]:
     )
     if angle < ANGLE_DEG[1]:
         yield Fault(
-            f"the cameras see the flame from directions at most {angle:.2g} degrees apart, which hardly tell its depth",
+            f"the cameras see the flame from directions at most {angle:.2g} degrees apart, which hardly determine "
+            "its depth",
             stops=angle < ANGLE_DEG[0],
         )
     if angle >= ANGLE_DEG[0]:

@@ -90,7 +90,7 @@ def test_what_stands_in_the_burner_is_said():
 
 def test_many_are_told_in_one_line():
     told = bodies.notes(PLAIN, [box((0, 0, 0.8), (0.1, 0.1, 0.1), f"Tile {number}") for number in range(20)])
-    assert len(told) == 4 and told[3].startswith("likewise 17 more: 'Tile 3', ") and told[3].endswith("'Tile 12' ...")
+    assert len(told) == 4 and told[3].startswith("and 17 more: 'Tile 3', ") and told[3].endswith("'Tile 12' ...")
 
 
 MAKE = """

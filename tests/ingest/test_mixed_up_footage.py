@@ -125,7 +125,7 @@ def test_all_that_no_file_says_is_asked_for_at_once_with_a_whole_command(tmp_pat
         (["--times", "25", "--fov", "70"], ["--times", "stamps", "--fov", "70"], ["--times", "25"]),
         strict=True,
     ):
-        command = shlex.split(text.split("With your own numbers: ")[1])
+        command = shlex.split(text.split("With your own numbers: ")[1].split(" more: docs/")[0])
         assert command[:2] == ["gof", "ingest"] and command[-len(wanted) :] == wanted
         assert cli.main([*command[1:], "--frames", "6"]) == 1  # grey pictures: no camera can be placed
         asked = " ".join(capsys.readouterr().err.split())

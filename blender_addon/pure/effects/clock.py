@@ -18,7 +18,7 @@ class Settings:
     offset_s: float = 0.002
     """Standard deviation of a camera's constant offset, seconds; drawn within three of them."""
     jitter_s: float = 0.0
-    """Standard deviation of each frame's own error, seconds, likewise."""
+    """Standard deviation of each frame's own error, seconds; drawn within three of them."""
     steps: int = 4
     """Solver steps per frame; the fire is taken as linear in time between them."""
 

@@ -15,7 +15,7 @@ class Settings:
     spread_ev: float = 0.3
     """Standard deviation between cameras, stops."""
     drift_ev_per_s: float = 0.0
-    """Change over the clip, the same for all cameras, stops per second."""
+    """Change over the clip in all cameras, stops per second."""
 
     def __post_init__(self):
         require(self.spread_ev >= 0, "effects.exposure.spread_ev", "0 or more", self.spread_ev)

@@ -13,6 +13,7 @@ CHANGES_BAKE = True
 @dataclass(frozen=True)
 class Obstacle:
     shape: Literal["sphere", "box"] = "sphere"
+    """Ball, or block with sides along the axes."""
     position: tuple[float, float, float] = (0.0, 0.0, 0.6)
     """Centre, world metres."""
     size: tuple[float, float, float] = (0.2, 0.2, 0.2)
@@ -27,3 +28,4 @@ class Obstacle:
 @dataclass(frozen=True)
 class Settings:
     items: tuple[Obstacle, ...] = (Obstacle(),)
+    """The bodies."""

@@ -15,7 +15,7 @@ class Settings:
     gas: float = 1.0
     """Confinement in the whole gas, as Blender's value at 25 steps per second."""
     flame: float = 2.0
-    """Additional confinement in the flame, likewise."""
+    """Additional confinement in the flame, as Blender's value at 25 steps per second."""
 
     def __post_init__(self):
         require(0 <= self.gas <= MOST, "effects.vorticity.gas", f"in [0, {MOST:g}]", self.gas)

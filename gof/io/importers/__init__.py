@@ -54,7 +54,7 @@ def detect(source: Source) -> str:
         raise DataFormatError(
             f"{source.path}: holds {_summary(source.checkpoint)}, which is no layout gof knows (docs/importers.md)"
         )
-    raise DataFormatError(f"{source.path}: no format gof knows; it reads {KNOWN} (docs/importers.md)")
+    raise DataFormatError(f"{source.path}: no format gof knows; it reads {KNOWN}", anchor="no-format-gof-knows")
 
 
 def _summary(checkpoint: Any) -> str:

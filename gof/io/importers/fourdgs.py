@@ -123,7 +123,7 @@ class _Scene:
                 raise DataFormatError(f"has a band {band} of harmonics; there are 1, 2 and 3")
             self.bands[-1][band] = take.stream()[1]
         elif opcode == f.DELTA_CHUNK:
-            raise DataFormatError("has chunks of differences, which only the model keyframe-delta knows")
+            raise DataFormatError("has chunks of differences, which belong to the model keyframe-delta")
         elif opcode == f.OBJECT_TRACK:
             raise DataFormatError("moves objects along tracks, which are no velocities of Gaussians; they are not read")
 
