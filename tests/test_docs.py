@@ -90,9 +90,7 @@ def test_every_defect_of_the_reviews_has_its_row(page):
 
 def test_every_finding_about_the_addon_has_its_row():
     """All nineteen, each with a test that `test_what_a_page_names_exists` finds, or words alone."""
-    found = re.findall(
-        r"^\| (\d+) \| (.+) \| (.+) \| (.+) \|$", (ROOT / "notebook/addon.md").read_text(), re.MULTILINE
-    )
+    found = re.findall(r"^\| (\d+) \| (.+) \| (.+) \| (.+) \|$", (ROOT / "notebook/addon.md").read_text(), re.MULTILINE)
     assert [int(number) for number, *_ in found] == list(range(1, 20))
     assert all(re.search(r"`test_\w+(\.py)?`", holds) or holds == "(words)" for *_, holds in found)
 
