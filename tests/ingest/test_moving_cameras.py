@@ -1,4 +1,4 @@
-"""Cameras that move a little and change their exposure: known moves and gains of a known picture are found and undone."""
+"""Cameras that move a little and change their exposure: known moves and gains are found and undone."""
 
 import json
 
