@@ -36,8 +36,8 @@ GONE = "not(eq(n,20)+eq(n,21)+eq(n,60))"  # three frames are missing
 QUICK = ("--max-size", "214", "--plates", "minimum")
 SLOWING = "(N/30+0.004*N*N/100)/TB"  # from 30 to about 24 frames a second
 TO_HLG = "zscale=tin=iec61966-2-1:min=smpte170m:pin=bt709:t=arib-std-b67:m=bt2020nc:p=bt2020:npl=203"
-FLAME = ("--preset", "toy", "--max-size", "240", "--gaussians", "6000", "--steps", "200")
-SHAKE_PX, DRIFT = 2.0, 0.4  # of a hand, standard deviation; of the exposure's light, from end to end
+FLAME = ("--preset", "toy", "--max-size", "320", "--gaussians", "6000", "--steps", "200")
+SHAKE_PX, DRIFT = 2.0, 0.4  # of a hand, to either side; of the exposure's light, from end to end
 LYING = ["-vf", "transpose=2"]  # as a phone stores an upright video
 
 
@@ -170,8 +170,8 @@ def ffmpeg(*words: str) -> None:
 
 def shaken(k: int, size: tuple[int, int], rng: np.random.Generator) -> np.ndarray:
     """Return (3, 3) pixels of a frame to those of one that a hand held: turns of the camera, nearly shifts."""
-    x, y = rng.normal(0, SHAKE_PX, 2)
-    angle = rng.normal(0, 0.002)
+    x, y = rng.uniform(-SHAKE_PX, SHAKE_PX, 2)
+    angle = rng.uniform(-0.001, 0.001)
     c, s = np.cos(angle), np.sin(angle)
     middle = np.array([[1, 0, size[0] / 2], [0, 1, size[1] / 2], [0, 0, 1]])
     return (
@@ -287,7 +287,7 @@ def run(variant: Variant, config: OrdinaryFootage, originals: list[np.ndarray], 
     made = folder / "set"
     summary = folder / "summary.json"
     given = [str(folder / "videos" / f"{CAMERAS[c]}.mp4") for c in variant.given]
-    size = ("--max-size", "240") if config.flame else QUICK
+    size = ("--max-size", "320", "--plates", "steady:90") if config.flame else QUICK
     status, said = gof("ingest", *given, "--out", str(made), *size, *words, *frames, "--json", str(summary))
     if status:
         return f"refused: {last_line(said)}", "", ""

@@ -20,8 +20,10 @@ class Changes:
     def add(self, picture: np.ndarray) -> None:
         """Take the next frame, (H, W, 3) uint8."""
         now = picture[::EVERY, ::EVERY, 1].astype(np.int16)
-        alike = self._before is not None and self._before.shape == now.shape
-        self._changes.append(float(np.abs(now - self._before).mean()) if alike else np.inf)
+        change = np.inf
+        if self._before is not None and self._before.shape == now.shape:
+            change = float(np.abs(now - self._before).mean())
+        self._changes.append(change)
         self._before = now
 
     @property

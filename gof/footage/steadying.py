@@ -68,7 +68,7 @@ class FrameCorrection:
             moved = cv2.warpPerspective(
                 picture, self.matrix, size, flags=cv2.INTER_CUBIC, borderMode=cv2.BORDER_REPLICATE
             )
-            picture = np.where(there[..., None] > 0, moved, self.reference)
+            picture = np.where(there[..., None] > 0, moved, picture if self.reference is None else self.reference)
         return picture
 
 
@@ -158,22 +158,30 @@ def _even(picture: np.ndarray, scale: float) -> np.ndarray:
     grey = grey.astype(np.float32)
     detail = grey - cv2.GaussianBlur(grey, (0, 0), 8)
     contrast = np.sqrt(cv2.GaussianBlur(detail * detail, (0, 0), 8)) + 3.0
-    return np.uint8(np.clip(128 + 48 * detail / contrast, 0, 255))
+    return np.clip(128 + 48 * detail / contrast, 0, 255).astype(np.uint8)
 
 
 def _followed(base: np.ndarray, now: np.ndarray, points: np.ndarray) -> np.ndarray:
     """Return (P, 2) places of the points in a frame; NaN where following them there and back does not close."""
-    import cv2
 
     if not len(points):
         return np.zeros((0, 2))
-    end = (cv2.TERM_CRITERIA_EPS | cv2.TERM_CRITERIA_COUNT, 40, 0.003)
-    follow = {"winSize": (21, 21), "maxLevel": 4, "criteria": end, "minEigThreshold": 1e-3}
-    there, ok, _ = cv2.calcOpticalFlowPyrLK(base, now, points, None, **follow)
-    back, returned, _ = cv2.calcOpticalFlowPyrLK(now, base, there, None, **follow)
+    there, ok = _lucas_kanade(base, now, points)
+    back, returned = _lucas_kanade(now, base, there)
     off = np.linalg.norm((back - points).reshape(-1, 2), axis=1)
     kept = (ok.ravel() > 0) & (returned.ravel() > 0) & (off <= BACK_PX)
     return np.where(kept[:, None], there.reshape(-1, 2), np.nan)
+
+
+def _lucas_kanade(first: np.ndarray, then: np.ndarray, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return (P, 1, 2) float32 places of the first picture's points in the other, and (P, 1) which were found."""
+    import cv2
+
+    end = (cv2.TERM_CRITERIA_EPS | cv2.TERM_CRITERIA_COUNT, 40, 0.003)
+    places, found, _ = cv2.calcOpticalFlowPyrLK(
+        first, then, points, points.copy(), winSize=(21, 21), maxLevel=4, criteria=end, minEigThreshold=1e-3
+    )
+    return places, found
 
 
 # ---- moves -----------------------------------------------------------------------------------------------------------
@@ -324,7 +332,8 @@ def find_gains(seen: Seen, moves: np.ndarray, known: np.ndarray) -> tuple[np.nda
         return ones, ""
     limit = np.maximum(AGREE, AGREE_SHARE * np.abs(mean))
     channels = np.ptp(gain[:, told], axis=1) <= limit
-    blocks = _by_block(_mean(change[..., told] - gain[:, None, told], -1), seen.small.shape[1:3])
+    height, width = seen.small.shape[1:3]
+    blocks = _by_block(_mean(change[..., told] - gain[:, None, told], -1), (height, width))
     even_space = 0.5 * np.ptp(np.nanquantile(blocks, [0.1, 0.9], axis=1), axis=0) <= limit
     trusted = channels & even_space
     percent = f"{100 * np.expm1(np.ptp(mean)):.0f} %"

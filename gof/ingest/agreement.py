@@ -203,7 +203,7 @@ def require_few_missing(video: VideoInfo) -> None:
 
 def require_few_repeats(video: VideoInfo) -> None:
     """Raise DataFormatError: more than `MAX_MISSING` of a film's frames show the one before them again."""
-    if len(video.repeated) > MAX_MISSING * video.frames:
+    if len(video.repeated) > MAX_MISSING * (video.frames or 0):
         path = video.path
         copy = shlex.quote(str(path.with_name(f"{path.stem}_once{path.suffix}")))
         raise DataFormatError(

@@ -69,7 +69,7 @@ def look_over(videos: list[Path]) -> list[Finding]:
 
 def of_camera(info: VideoInfo) -> list[Finding]:
     """Return what one video shows, and what its file says."""
-    name, numbers = info.path.name, _numbers(info.frames)
+    name, numbers = info.path.name, _numbers(info.frames or 0)
     frames = _small(info, numbers)
     plate = darkest(frames)
     masks = np.array([flame_mask(frame.astype(np.float32) / 255, plate.astype(np.float32) / 255) for frame in frames])
@@ -197,13 +197,14 @@ def _stands(frames: np.ndarray, name: str, numbers: np.ndarray, info: VideoInfo)
 def _file(info: VideoInfo) -> list[Finding]:
     """Return what the file says of its frames: repeats, and an uneven rate."""
     name, found = info.path.name, []
-    share = len(info.repeated) / max(info.frames, 1)
+    count, stamps = info.frames or 0, info.stamps_s
+    share = len(info.repeated) / max(count, 1)
     if share:
-        words = f"{len(info.repeated)} of {info.frames} frames show the one before again"
+        words = f"{len(info.repeated)} of {count} frames show the one before again"
         remedy = "give the camera's own file, not one that an app or a program has exported"
         found.append(graded("repeats", name, share, (0.0, 0.1), words, remedy))
-    if info.usual_step_s and info.frames > 2:
-        steps = np.diff(info.stamps_s) / info.usual_step_s
+    if info.usual_step_s and stamps is not None and count > 2:
+        steps = np.diff(stamps) / info.usual_step_s
         uneven = float(np.quantile(np.abs(steps - np.rint(steps).clip(1)), 0.9))
         how = "evenly" if uneven <= 0.05 else "unevenly"
         words = f"frames come {how}, by the file {1 / info.usual_step_s:.4g} per second"
@@ -228,9 +229,10 @@ def clocks(videos: list[Path]) -> Finding:
         take, _ = synchronise_without_board(list(videos), [None] * len(videos))
     except GofError as e:
         return Finding("sync", "", "bad", None, f"no board is seen, and {e}", clap)
-    off_s = max(camera.times.systematic_us for camera in take.cameras) * 1e-6
-    by = {"sound": "the films' sound", "flame": "the flames' light"}[take.cameras[0].times.clock]
-    step_s = max(camera.times.frame_interval_us for camera in take.cameras) * 1e-6
+    known = [camera.times for camera in take.cameras if camera.times is not None]
+    off_s = max(times.systematic_us for times in known) * 1e-6
+    by = "the films' sound" if known[0].clock == "sound" else "the flames' light"
+    step_s = max(times.frame_interval_us for times in known) * 1e-6
     words = f"the films' clocks are found by {by}, to {1000 * off_s:.1f} ms, {off_s / step_s:.1f} frames"
     return graded("sync", "", off_s / step_s, (0.3, 2.0), words, clap)
 
