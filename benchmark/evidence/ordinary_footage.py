@@ -6,6 +6,9 @@ CLIP holds cam_0.mp4, cam_1.mp4 and cam_2.mp4 of a fire (docs/ingest.md: the pap
 makes the variants. Whether frames were paired rightly is not taken from the clocks: every picture of the dataset is
 looked up in the original videos, so the last column counts original frames between pictures that were paired. Started
 again with the same options, it goes on after the last row that it finished; another OUT begins anew.
+
+With --flame only what three phones in three hands leave is made, and a small flame of each: the column before the last
+has the flame's PSNR on held-out pictures, against the row's own pictures.
 """
 
 from __future__ import annotations
@@ -20,6 +23,7 @@ from pathlib import Path
 import numpy as np
 import tyro
 
+from gof.core.colour import linear_to_srgb, srgb_to_linear
 from gof.core.errors import DataFormatError, MissingDependencyError
 from gof.core.files import write_json
 from gof.dataset import Dataset
@@ -31,6 +35,9 @@ LOOK_UP = (48, 85)  # px: size at which pictures are looked up
 GONE = "not(eq(n,20)+eq(n,21)+eq(n,60))"  # three frames are missing
 QUICK = ("--max-size", "214", "--plates", "minimum")
 SLOWING = "(N/30+0.004*N*N/100)/TB"  # from 30 to about 24 frames a second
+TO_HLG = "zscale=tin=iec61966-2-1:min=smpte170m:pin=bt709:t=arib-std-b67:m=bt2020nc:p=bt2020:npl=203"
+FLAME = ("--preset", "toy", "--max-size", "320", "--gaussians", "6000", "--steps", "200")
+SHAKE_PX, DRIFT = 2.0, 0.4  # of a hand, to either side; of the exposure's light, from end to end
 LYING = ["-vf", "transpose=2"]  # as a phone stores an upright video
 
 
@@ -52,6 +59,8 @@ class OrdinaryFootage:
     """Frames per dataset where a variant does not say: few, as only the reading is looked at."""
     only: str = ""
     """Only variants whose name holds this text."""
+    flame: bool = False
+    """Only what phones leave, each with a flame."""
 
 
 @dataclass(frozen=True)
@@ -64,6 +73,9 @@ class Variant:
         options: of `gof ingest`; "TIMES" stands for the times.json of `gof capture sync`.
         given: the cameras whose videos are given, in this order.
         all_frames: whether no --frames is given.
+        pictures: one of `CHANGED`, by which all cameras' pictures are changed first.
+        sync: options of `gof capture sync`.
+        phones: whether it is a row of --flame.
     """
 
     name: str
@@ -72,6 +84,9 @@ class Variant:
     after: dict[str, str] = field(default_factory=dict)
     given: tuple[int, ...] = (0, 1, 2)
     all_frames: bool = False
+    pictures: str = ""
+    sync: tuple[str, ...] = ()
+    phones: bool = False
 
 
 def variants(config: OrdinaryFootage) -> list[Variant]:
@@ -82,6 +97,8 @@ def variants(config: OrdinaryFootage) -> list[Variant]:
     halved = {"cam_1": ["-vf", "select='not(mod(n,2))',setpts=N/(15*TB)", "-r", "15"]}
     gone = {"cam_1": ["-vf", f"select='{GONE}'", "-fps_mode", "vfr"]}
     late = {"cam_1": ["-vf", "select='gte(n,7)',setpts=N/(30*TB)"]}
+    twice = {"cam_1": ["-vf", f"select='{GONE}'", "-fps_mode", "cfr", "-r", "30"]}
+    heard = {"after": dict.fromkeys(CAMERAS, "sound"), "sync": ("--board", "none"), "phones": True}
     slow = {
         c: ["-vf", f"settb=1/15360,setpts='{SLOWING}'", "-fps_mode", "vfr", "-enc_time_base", "1/15360"]
         for c in CAMERAS
@@ -91,8 +108,14 @@ def variants(config: OrdinaryFootage) -> list[Variant]:
     tag = dict.fromkeys(CAMERAS, "tag")
     lying_fov = np.rad2deg(2 * np.arctan(np.tan(np.deg2rad(config.fov) / 2) * 854 / 480))
     return [
-        Variant("as filmed", usual),
-        Variant("no board in the pictures", ("--times", rate, *fov, "--board", "none")),
+        Variant("as filmed", usual, phones=True),
+        Variant("no board in the pictures", ("--times", rate, *fov, "--board", "none"), phones=True),
+        Variant("HEVC, 10 bits, HLG", usual, {c: [*hevc, "-vf", TO_HLG] for c in CAMERAS}, phones=True),
+        Variant("hands: 2 px of shake", usual, pictures="shake", phones=True),
+        Variant("exposure drifts by 40 % of its light", usual, pictures="drift", phones=True),
+        Variant("both", usual, pictures="both", phones=True),
+        Variant("cam_1 shows 3 frames twice", usual, twice, phones=True),
+        Variant("no board, sound, cam_1 begins 7 frames late", ("TIMES", *usual[2:]), late, **heard),
         Variant("2 cameras", usual, given=(0, 1)),
         Variant("1 camera", usual, given=(0,)),
         Variant("cam_0's file twice", usual, given=(0, 0, 2)),
@@ -108,10 +131,16 @@ def variants(config: OrdinaryFootage) -> list[Variant]:
         Variant("cam_1 lacks 3 frames (variable rate)", usual, gone),
         Variant("the same, times.json", ("TIMES", *usual[2:]), gone),
         Variant("all slow down (variable rate)", usual, slow, all_frames=True),
-        Variant("the same, `--times stamps`", ("--times", "stamps", *usual[2:]), slow),
-        Variant("cam_1 smaller", usual, {"cam_1": ["-vf", "scale=320:570"]}),
+        Variant("variable rate, `--times stamps`", ("--times", "stamps", *usual[2:]), slow, phones=True),
+        Variant("cam_1 smaller", usual, {"cam_1": ["-vf", "scale=320:570"]}, phones=True),
         Variant("HEVC, 10 bits", usual, {c: hevc for c in CAMERAS}),
-        Variant("phones: lying, with rotation tag", ("--times", rate, "--fov", f"{lying_fov:.4g}", *board), lying, tag),
+        Variant(
+            "phones: lying, with rotation tag",
+            ("--times", rate, "--fov", f"{lying_fov:.4g}", *board),
+            lying,
+            tag,
+            phones=True,
+        ),
         Variant(
             "the same, cam_1's tag is lost",
             ("--times", rate, "--fov", f"{lying_fov:.4g}", *board),
@@ -139,6 +168,53 @@ def ffmpeg(*words: str) -> None:
     subprocess.run(["ffmpeg", "-v", "error", "-y", *words], check=True)
 
 
+def shaken(k: int, size: tuple[int, int], rng: np.random.Generator) -> np.ndarray:
+    """Return (3, 3) pixels of a frame to those of one that a hand held: turns of the camera, nearly shifts."""
+    x, y = rng.uniform(-SHAKE_PX, SHAKE_PX, 2)
+    angle = rng.uniform(-0.001, 0.001)
+    c, s = np.cos(angle), np.sin(angle)
+    middle = np.array([[1, 0, size[0] / 2], [0, 1, size[1] / 2], [0, 0, 1]])
+    return (
+        np.array([[1, 0, x], [0, 1, y], [0, 0, 1]])
+        @ middle
+        @ [[c, -s, 0], [s, c, 0], [0, 0, 1]]
+        @ np.linalg.inv(middle)
+    )
+
+
+def changed(kind: str, source: Path, video: Path) -> None:
+    """Write a video as a hand, or an automatic exposure, would have filmed it."""
+    import cv2
+
+    rng, frames = np.random.default_rng(len(source.stem) + ord(source.stem[-1])), list(stored_frames(source))
+    height, width = frames[0].shape[:2]
+    command = ["ffmpeg", "-v", "error", "-y", "-f", "rawvideo", "-pix_fmt", "rgb24", "-s", f"{width}x{height}"]
+    command += ["-r", "30", "-i", "-", "-c:v", "libx264", "-crf", "10", "-pix_fmt", "yuv420p", str(video)]
+    with subprocess.Popen(command, stdin=subprocess.PIPE) as program:
+        for k, frame in enumerate(frames):
+            picture = frame
+            if kind in ("drift", "both"):
+                gain = 1 + DRIFT * (k / (len(frames) - 1) - 0.5)
+                light = np.clip(gain * srgb_to_linear(np.arange(256) / 255), 0, 1)
+                picture = cv2.LUT(picture, np.uint8(np.rint(255 * linear_to_srgb(light))))
+            if kind in ("shake", "both"):
+                matrix, edge = shaken(k, (width, height), rng), cv2.BORDER_REFLECT_101
+                picture = cv2.warpPerspective(picture, matrix, (width, height), flags=cv2.INTER_CUBIC, borderMode=edge)
+            program.stdin.write(picture.tobytes())
+
+
+def with_sound(video: Path, begins_s: float) -> None:
+    """Give a film the sound of a fire that crackles, from this moment of it on, with a microphone's own noise."""
+    rate, rng = 16_000, np.random.default_rng(0)
+    fire = rng.normal(0, 1, 8 * rate) * (0.05 + (rng.random(8 * rate) < 2e-3) * 4)
+    own = np.random.default_rng(ord(video.stem[-1])).normal(0, 0.05, 8 * rate)
+    heard = (fire + own)[round(begins_s * rate) :].astype(np.float32)
+    silent = video.replace(video.with_name(f"{video.stem}_silent.mp4"))
+    command = ["ffmpeg", "-v", "error", "-y", "-i", str(silent), "-f", "f32le", "-ar", str(rate), "-ac", "1", "-i", "-"]
+    command += ["-c:v", "copy", "-c:a", "aac", "-shortest", str(video)]
+    subprocess.run(command, input=heard.tobytes(), check=True)
+
+
 def make_videos(variant: Variant, config: OrdinaryFootage, folder: Path) -> list[Path]:
     """Return the variant's videos, each camera's once."""
     folder.mkdir(parents=True, exist_ok=True)
@@ -147,7 +223,9 @@ def make_videos(variant: Variant, config: OrdinaryFootage, folder: Path) -> list
         source, video = str(config.clip / f"{name}.mp4"), folder / f"{name}.mp4"
         after = variant.after.get(name)
         change = variant.changes.get(name)
-        if change is None:
+        if variant.pictures:
+            changed(variant.pictures, Path(source), video)
+        elif change is None:
             copied = ["-movflags", "+faststart"] if after == "cut" else []
             ffmpeg("-i", source, "-c", "copy", *copied, str(video))
         else:
@@ -158,6 +236,8 @@ def make_videos(variant: Variant, config: OrdinaryFootage, folder: Path) -> list
             video.write_bytes(video.read_bytes()[: video.stat().st_size // 2])
         if after == "tag":
             video.write_bytes(tagged_clockwise(video.read_bytes()))
+        if after == "sound":
+            with_sound(video, 7 / 30 if change else 0.0)
         videos.append(video)
     return videos
 
@@ -188,8 +268,9 @@ def gof(*words: str) -> tuple[int, str]:
     return done.returncode, done.stdout + done.stderr
 
 
-def run(variant: Variant, config: OrdinaryFootage, originals: list[np.ndarray], number: int) -> tuple[str, str]:
-    """Return the output of `gof ingest` on the variant, and the distance of its pairs in original frames."""
+def run(variant: Variant, config: OrdinaryFootage, originals: list[np.ndarray], number: int) -> tuple[str, str, str]:
+    """Return the output of `gof ingest` on the variant, its flame's dB, and the distance of its pairs in original
+    frames."""
     folder = config.out / f"{number:02d}"
     shutil.rmtree(folder, ignore_errors=True)
     videos = make_videos(variant, config, folder / "videos")
@@ -198,22 +279,32 @@ def run(variant: Variant, config: OrdinaryFootage, originals: list[np.ndarray], 
         if option != "TIMES":
             words.append(option)
             continue
-        status, said = gof("capture", "sync", *map(str, videos), "--out", str(folder / "sync"))
+        status, said = gof("capture", "sync", *map(str, videos), "--out", str(folder / "sync"), *variant.sync)
         if status:
-            return f"sync: {last_line(said)}", ""
+            return f"sync: {last_line(said)}", "", ""
         words += ["--times", str(folder / "sync" / "times.json")]
     frames = () if variant.all_frames else ("--frames", str(config.frames))
     made = folder / "set"
     summary = folder / "summary.json"
     given = [str(folder / "videos" / f"{CAMERAS[c]}.mp4") for c in variant.given]
-    status, said = gof("ingest", *given, "--out", str(made), *QUICK, *words, *frames, "--json", str(summary))
+    size = ("--max-size", "320", "--plates", "steady:90") if config.flame else QUICK
+    status, said = gof("ingest", *given, "--out", str(made), *size, *words, *frames, "--json", str(summary))
     if status:
-        return f"refused: {last_line(said)}", ""
+        return f"refused: {last_line(said)}", "", ""
     content = json.loads(summary.read_text(encoding="utf-8"))
     apart = pairs_apart(Dataset.open(made), [originals[c] for c in variant.given])
     notes = "; ".join([*content["notes"], *content["poses"]["notes"]]) or "nothing to say"
     poses = content["poses"]["method"]
-    return f"made, poses by {poses}: {notes}", f"{apart:d}"
+    return f"made, poses by {poses}: {notes}", flame_of(made, folder) if config.flame else "", f"{apart:d}"
+
+
+def flame_of(dataset: Path, folder: Path) -> str:
+    """Return the PSNR of a small flame on held-out pictures, dB, or why there is none."""
+    figures = folder / "flame.json"
+    status, said = gof("reconstruct", str(dataset), "--out", str(folder / "flame"), *FLAME, "--json", str(figures))
+    if status:
+        return f"refused: {last_line(said)}"
+    return f"{json.loads(figures.read_text(encoding='utf-8'))['held_out']['psnr_flame']:.1f} dB"
 
 
 def last_line(said: str) -> str:
@@ -247,18 +338,18 @@ def main(argv: list[str] | None = None) -> None:
     """Print the table."""
     config = tyro.cli(OrdinaryFootage, prog="python -m gof_benchmark.evidence.ordinary_footage", args=argv)
     originals = [np.stack([small(p) for p in stored_frames(config.clip / f"{name}.mp4")]) for name in CAMERAS]
-    print("| footage | what `gof ingest` does | original frames between paired pictures, at most |\n|---|---|---|")
+    print("| footage | what `gof ingest` does | flame | original frames between paired pictures, at most |")
+    print("|---|---|---|---|")
     for number, variant in enumerate(variants(config)):
-        if config.only in variant.name:
+        if config.only in variant.name and variant.phones >= config.flame:
             known = config.out / f"{number:02d}" / "row.json"
-            asked = [variant.name, *variant.options, list(variant.given), str(config.clip), config.frames]
+            asked = [variant.name, *variant.options, list(variant.given), str(config.clip), config.frames, config.flame]
             row = json.loads(known.read_text(encoding="utf-8")) if known.is_file() else {}
             if row.get("asked") != asked:
-                outcome, apart = run(variant, config, originals, number)
-                row = {"asked": asked, "outcome": outcome, "apart": apart}
+                outcome, flame, apart = run(variant, config, originals, number)
+                row = {"asked": asked, "outcome": outcome, "flame": flame, "apart": apart}
                 write_json(known, row)
-            outcome, apart = row["outcome"], row["apart"]
-            print(f"| {variant.name} | {outcome} | {apart} |", flush=True)
+            print(f"| {variant.name} | {row['outcome']} | {row['flame']} | {row['apart']} |", flush=True)
 
 
 if __name__ == "__main__":

@@ -11,6 +11,7 @@ PARTS = {
         "footage of the board -> the time of every row of every frame (times.json, plots)",
     ),
     "calibrate": ("gof.commands.capture_calibrate", "footage of the ChArUco target -> intrinsics of every camera"),
+    "check-footage": ("gof.commands.capture_check_footage", "films of a fire -> what will spoil them, in a minute"),
     "annotate": ("gof.commands.capture_annotate", "dataset of gof ingest -> soft masks of the board"),
     "draw": ("gof.commands.capture_draw", "LED board template -> printable SVG"),
     "target": ("gof.commands.capture_target", "ChArUco target -> printable PDF or SVG"),
@@ -28,6 +29,7 @@ a session:
   gof capture calibrate c0.mp4 c1.mp4 c2.mp4 --out cameras.json
   gof capture board find
   gof capture board start                                     the board runs; film it with every camera
+  gof capture check-footage cam_0.mp4 cam_1.mp4 cam_2.mp4     is it worth the work? while you can film again
   gof capture sync cam_0.mp4 cam_1.mp4 cam_2.mp4 --out sync   sync/times.json, sync/residuals_cam_0.png ...
   gof ingest cam_0.mp4 cam_1.mp4 cam_2.mp4 --times sync/times.json --cameras cameras.json --out data/fire
   gof capture annotate data/fire --footage cam_0.mp4 cam_1.mp4 cam_2.mp4 --cameras cameras.json

@@ -22,6 +22,7 @@ from gof.footage.colour import UNKNOWN, Colour
 from gof.footage.combs import find_combs
 from gof.footage.containers import codes_fields, film_track, made_at, video_tracks
 from gof.footage.pictures import read_picture, read_rotation
+from gof.footage.repeats import Changes
 
 PICTURES = (".png", ".jpg", ".jpeg", ".tif", ".tiff", ".bmp")
 UNREAD = frozenset(
@@ -53,6 +54,7 @@ class VideoInfo:
         pixel_aspect: width of a pixel over its height, as players show it.
         start_s: time of the first frame on the file's own clock; stamps_s count from it.
         two_fields: container or codec allow interlaced frames.
+        repeated: numbers of a video's frames that show the one before again, see `gof.footage.repeats`.
         made_s: when the file says that it was made, s since 1970; None: it does not.
     """
 
@@ -72,6 +74,7 @@ class VideoInfo:
     made_s: int | None = None
     two_fields: bool = False
     colour: str = ""
+    repeated: tuple[int, ...] = ()
 
     @property
     def usual_step_s(self) -> float | None:
@@ -164,8 +167,7 @@ def _require_length(path: Path, numbers: list[int], read: int, number: int | Non
 
 @contextmanager
 def _opened(path: Path):
-    """Return the video, giving pictures as stored whatever the rotation tag: OpenCV's versions differ in what they
-    do."""
+    """Return the video, giving pictures as stored, whatever the rotation tag: OpenCV's versions differ in that."""
     import cv2
 
     if not path.is_file():
@@ -407,19 +409,20 @@ def read_info(path: Path, progress: Callable[[int, int], None] | None = None) ->
         wanted = [number for number in wanted if number < info.frames]
         seen = dict(zip(wanted, chosen_frames(info.path, wanted), strict=True))
     else:
-        stamps, start = [], 0.0
+        stamps, start, changes = [], 0.0, Changes()
         with _opened(info.path) as video:
             while video.grab():
                 if not stamps and info.stated_fps:
                     start = max(video.get(cv2.CAP_PROP_PTS), 0.0) / info.stated_fps
-                if len(stamps) in wanted:
-                    there, picture = video.retrieve()
-                    if there:
-                        seen[len(stamps)] = picture
+                there, picture = video.retrieve()
+                if there:
+                    changes.add(picture)
+                if there and len(stamps) in wanted:
+                    seen[len(stamps)] = picture
                 stamps.append(video.get(cv2.CAP_PROP_POS_MSEC) * 1e-3)
                 if progress:
                     progress(len(stamps), max(len(stamps), info.stated_frames or 0))
-        info = replace(info, stamps_s=np.array(stamps), frames=len(stamps), start_s=start)
+        info = replace(info, stamps_s=np.array(stamps), frames=len(stamps), start_s=start, repeated=changes.repeated)
         tracks = video_tracks(info.path)
         if info.stated_frames and not (tracks and tracks[0].frames):  # an estimate: the duration begins at zero
             info = replace(info, stated_frames=info.stated_frames - round(start * info.stated_fps))
@@ -431,8 +434,7 @@ def read_info(path: Path, progress: Callable[[int, int], None] | None = None) ->
 
 
 def stated_frames(path: Path) -> int | None:
-    """Return the number of frames in a folder, or by a video's container (for progress bars); None when it states
-    none."""
+    """Return the number of frames in a folder, or by a video's container (for progress bars), or None."""
     return len(loose_pictures(path)) if Path(path).is_dir() else stated_info(path).stated_frames
 
 

@@ -202,6 +202,19 @@ def require_few_missing(video: VideoInfo) -> None:
         )
 
 
+def require_few_repeats(video: VideoInfo) -> None:
+    """Raise DataFormatError: more than `MAX_MISSING` of a film's frames show the one before them again."""
+    if len(video.repeated) > MAX_MISSING * (video.frames or 0):
+        path = video.path
+        copy = shlex.quote(str(path.with_name(f"{path.stem}_once{path.suffix}")))
+        raise DataFormatError(
+            f"{path}: {len(video.repeated)} of its {video.frames} frames show the one before them again (first frame "
+            f"{video.repeated[0]}): was it converted to another rate? Give the camera's own file, or leave the repeats "
+            f"out: ffmpeg -i {shlex.quote(str(path))} -vf mpdecimate -fps_mode vfr -c:v libx264 -crf 12 {copy}, with "
+            "--times stamps"
+        )
+
+
 def require_one_beginning(videos: list[VideoInfo]) -> None:
     """Raise GofError: folders whose pictures begin at different numbers, so that one may lack its first ones."""
     first = {str(video.path): video.numbers[0] for video in videos if video.numbers}

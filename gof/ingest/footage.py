@@ -3,8 +3,8 @@ needed."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
-from dataclasses import dataclass, fields, replace
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
 from typing import Any, Literal
 
@@ -17,6 +17,7 @@ from gof.dataset import CameraEntry, Splits, held_out
 from gof.footage.flame_mask import flame_mask
 from gof.footage.lens import ROLL_DEG, CalibratedCamera, Lens, Turn, preparation, read_cameras
 from gof.footage.pictures import write_picture as save_picture
+from gof.footage.steadying import FrameCorrection
 from gof.footage.videos import VideoInfo, chosen_frames, read_info, require_different
 from gof.host.terminal import progress_bar
 from gof.ingest.agreement import other_notes, require_one_film_each, require_square_pixels, turns_by_tags
@@ -34,6 +35,7 @@ class PreparedClip(Collection[np.ndarray]):
         size: width, height of the stored pictures, px.
         frames: stored frame numbers, increasing.
         prepared: what is done to every stored picture (H, W, 3) uint8 RGB.
+        corrections: what is done to it afterwards, by the stored number: see `gof.footage.steadying`.
         watch: called after every frame.
     """
 
@@ -41,6 +43,7 @@ class PreparedClip(Collection[np.ndarray]):
     size: tuple[int, int]
     frames: tuple[int, ...]
     prepared: Callable[[np.ndarray], np.ndarray]
+    corrections: Mapping[int, FrameCorrection] = field(default_factory=dict)
     watch: Callable[[], None] = lambda: None
 
     def __len__(self) -> int:
@@ -58,7 +61,9 @@ class PreparedClip(Collection[np.ndarray]):
                     f"{self.path}: frame {number} is {picture.shape[1]}x{picture.shape[0]}, "
                     f"the lens is given for {self.size[0]}x{self.size[1]}"
                 )
-            yield self.prepared(picture)
+            picture = self.prepared(picture)
+            correction = self.corrections.get(number)
+            yield picture if correction is None else correction.applied(picture)
             self.watch()
 
     def only(self, places: Iterable[int]) -> PreparedClip:

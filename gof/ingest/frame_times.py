@@ -20,6 +20,7 @@ from gof.footage.videos import VideoInfo, distinct_names
 from gof.ingest.agreement import (
     number_notes,
     require_few_missing,
+    require_few_repeats,
     require_one_beginning,
     require_one_length,
     require_one_rate,
@@ -144,6 +145,7 @@ def stated_times(timing: Timing, videos: list[VideoInfo]) -> FrameTimes:
         source = f"{', '.join(f'{rate:g}' for rate in timing.fps)} frames per second"
     if len(timing.start) == 1:
         require_one_beginning(videos)
+    ticks = [_without_repeats(tick, video) for tick, video in zip(ticks, videos, strict=True)]
     clocks = [tick - tick[start] for tick, start in zip(ticks, starts, strict=True)]
     if not timing.begins_are_known:
         require_one_length(videos, clocks)
@@ -168,6 +170,19 @@ def _stamps(video: VideoInfo) -> np.ndarray:
     if len(video.stamps_s) > 1 and not np.diff(video.stamps_s).min() > 0:
         raise GofError(f"{video.path}: its time stamps do not grow with every frame; give the rate with --times")
     return video.stamps_s
+
+
+def _without_repeats(clock: np.ndarray, video: VideoInfo) -> np.ndarray:
+    """Return (N,) s with a frame that shows the one before again at that one's time, so that it is left out.
+
+    Raises:
+        DataFormatError: they are too many.
+    """
+    require_few_repeats(video)
+    clock = clock.copy()
+    for k in video.repeated:
+        clock[k] = clock[k - 1]
+    return clock
 
 
 def _steps(video: VideoInfo) -> np.ndarray:
@@ -217,7 +232,10 @@ def measured_times(timing: Timing, videos: list[VideoInfo]) -> FrameTimes:
     start = timing.start[0]
     if not 0 <= start < videos[0].frames:
         raise GofError(f"--start {start}: the first video has {videos[0].frames} frames")
-    middles = [np.array([frame.time_s for frame in camera.frames]) for camera in cameras]
+    middles = [
+        _without_repeats(np.array([frame.time_s for frame in camera.frames]), video)
+        for camera, video in zip(cameras, videos, strict=True)
+    ]
     pairing = pair([video.name for video in synced], middles, start, timing.limit, str(timing.times))
     # Sync gives the middle of the picture; a dataset's frame starts when its first line is read.
     begins = [middle - _readout_s(camera) / 2 for middle, camera in zip(middles, cameras, strict=True)]

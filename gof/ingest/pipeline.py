@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
+
+import numpy as np
 
 from gof.core.cameras import Camera
 from gof.core.costs import StageLog
@@ -15,6 +17,7 @@ from gof.core.files import only_run_in
 from gof.dataset import DatasetDescription
 from gof.dataset.poses import FILE as POSES
 from gof.dataset.poses import Poses
+from gof.footage.steadying import by_number, look, steady
 from gof.host.terminal import progress_bar
 from gof.ingest.alone import place_alone
 from gof.ingest.evidence import Evidence, PoseOptions
@@ -127,13 +130,15 @@ def _make(
         times = footage.frame_times(timing)
         clips = footage.clips(times.frames)
         splits = footage.splits(len(clips[0]))
+        beyond = outside(footage, times.frames, plate)
+        steadied = steadied_clips(footage, clips, beyond, splits.train)
+        clips, beyond = steadied.clips, steadied.beyond
         known = [clip.only(splits.train) for clip in clips]  # all that a method may learn from
         figures.update(cameras=len(clips), frames=len(clips[0]))
 
     # ---- plates ------------------------------------------------------------------------------------------------------
     with log.measure("plates") as figures:
         figures["plate"] = plate.source
-        beyond = outside(footage, times.frames, plate)
         more = [evidence_of(other, pose_options) for other in others]
         passes = [plate.passes] * len(known) + [1] * len(beyond)
         with watched("plates", [*known, *beyond], passes) as seen:
@@ -164,7 +169,8 @@ def _make(
         "fire_left": dict(zip(footage.names, fire_free.fire_left, strict=True)),
         **({"plate_frames": plate_frames} if beyond else {}),
         "clock": times.source,
-        "notes": [*footage.notes, *times.notes],
+        "notes": [*footage.notes, *times.notes, *steadied.notes],
+        "steadied": dict(zip(footage.names, steadied.figures, strict=True)),
         "mask": "estimated from the plates",
         "scale": placed.report.scale,
         **({"rig_clips": [other.videos[0].parent.name for other in others]} if others else {}),
@@ -194,7 +200,47 @@ def _make(
         poses,
         made_by["fire_left"],
         dict(zip(footage.names, by_clip, strict=True)) if by_clip else None,
-        (*footage.notes, *times.notes),
+        (*footage.notes, *times.notes, *steadied.notes),
+    )
+
+
+@dataclass(frozen=True)
+class SteadiedClips:
+    """Clips, and frames beyond them, that are brought to one place and exposure; what was found, in figures per camera
+    and in words."""
+
+    clips: list[PreparedClip]
+    beyond: list[PreparedClip]
+    figures: list[dict]
+    notes: list[str]
+
+
+def steadied_clips(
+    footage: Footage, clips: list[PreparedClip], beyond: list[PreparedClip], train: Sequence[int]
+) -> SteadiedClips:
+    """Return the clips as cameras that neither move nor change their exposure would have filmed them.
+
+    Args:
+        beyond: frames outside the clips, per camera; empty: none are used.
+        train: places of the frames that say what stands still.
+    Raises:
+        DataFormatError: a camera moves too much.
+    """
+    numbers = [np.union1d(clip.frames, more.frames) for clip, more in zip(clips, beyond or clips, strict=True)]
+    everything = footage.clips(numbers)
+    known = [np.searchsorted(n, np.array(clip.frames)[list(train)]) for n, clip in zip(numbers, clips, strict=True)]
+    found = []
+    with watched("what stands still", everything) as seen:
+        for clip, places, video in zip(seen, known, footage.videos, strict=True):
+            place = int(places[len(places) // 2])
+            reference = next(iter(replace(clip, frames=clip.frames[place : place + 1], watch=lambda: None)))
+            found.append(steady(look(clip, reference, place), places, video.name, np.array(clip.frames)))
+    by_camera = [by_number(n, each) for n, each in zip(numbers, found, strict=True)]
+    return SteadiedClips(
+        [replace(clip, corrections=c) for clip, c in zip(clips, by_camera, strict=True)],
+        [replace(clip, corrections=c) for clip, c in zip(beyond, by_camera, strict=bool(beyond))],
+        [each.figures for each in found],
+        [note for each in found for note in each.notes],
     )
 
 
@@ -225,6 +271,7 @@ def evidence_of(footage: Footage, options: PoseOptions) -> Evidence:
     """Return evidence of the poses from another clip of the rig. Still things need no times: all frames are used."""
     name = footage.videos[0].parent.name
     everything = footage.all_clips()
+    everything = steadied_clips(footage, everything, [], range(min(map(len, everything)))).clips
     with watched(f"read {name}", everything, [2 + (options.board is not None)] * len(everything)) as clips:
         return Evidence.of(name, clips, [darkest(clip) for clip in clips], options)
 
