@@ -118,7 +118,8 @@ def _every(dataset: Dataset, step: int) -> DatasetDescription:
     times = tuple(dataset.times_s[::step].tolist())
     test = tuple(range(4, len(times), 8))
     train = tuple(sorted(set(range(len(times))) - set(test)))
-    cameras = tuple(replace(c, time_s=None if c.time_s is None else c.time_s[::step]) for c in said.cameras)
+    whole = (c for c in said.cameras if c.role != "around")  # those around have frames of their own
+    cameras = tuple(replace(c, time_s=None if c.time_s is None else c.time_s[::step]) for c in whole)
     return replace(said, time_s=times, cameras=cameras, splits=replace(said.splits, train=train, test=test))
 
 
