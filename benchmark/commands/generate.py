@@ -153,8 +153,12 @@ def _make(spec: SceneSpec, layout: Layout, log: StageLog, config: GenerateConfig
                 views.write(name, layout.root)
 
 
+STAGES = ("bake", "ground-truth", "render", "finish", "views")  # in the order in which they begin
+
+
 def _summary(costs: Costs) -> str:
     """Return the time by the clock on the wall, and the sum of the processes, which work at the same time."""
-    stages = ", ".join(f"{cost.name} {cost.settings.get('wall_s', cost.seconds):.0f} s" for cost in costs.stages)
+    in_order = sorted(costs.stages, key=lambda cost: STAGES.index(cost.name) if cost.name in STAGES else len(STAGES))
+    stages = ", ".join(f"{cost.name} {cost.settings.get('wall_s', cost.seconds):.0f} s" for cost in in_order)
     processes = sum(cost.seconds for cost in costs.stages)
     return f"{costs.wall_s:.0f} s by the clock ({stages}; they overlap), {processes:.0f} s summed over processes"
