@@ -18,7 +18,6 @@ SMALL = {  # command: words put behind it
     "gof background": "--steps 5",
     "gof generate": "--preset toy",
     "gof reconstruct": "--steps 20 --gaussians 300 --voxels 24",
-    "gof study dve": "--gaussians 100 --samples 1000",
     "gof video": "--max-size 64 --fps 2",
 }
 IN_A_SHELL = re.compile(r"[|&;<>$*?~`(){}#!]")  # a line with one of these is more than one command

@@ -18,6 +18,8 @@ from gof.host.processes import python_command
 from gof.host.worker import run_worker
 from gof.look.report import Preview
 
+SAMPLES = 16  # per pixel of the preview
+
 
 @dataclass
 class ImportConfig:
@@ -42,8 +44,6 @@ class ImportConfig:
     mode: Literal["points", "ellipsoids"] = "points"
     """How the cloud is drawn: round points (quick), or each Gaussian's own ellipsoid (about three times the render
     time)."""
-    samples: int = 16
-    """Cycles samples per pixel of the preview."""
 
 
 def main(argv: list[str]) -> int:
@@ -69,7 +69,7 @@ def main(argv: list[str]) -> int:
         "frame": frame,
         "camera": camera,
         "mode": config.mode,
-        "samples": config.samples,
+        "samples": SAMPLES,
     }
     words = [word for name, value in options.items() for word in (f"--{name}", str(value))]
     worker = python_command("-m", "gof_blender.worker.import_result", *words)

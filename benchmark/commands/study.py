@@ -5,10 +5,6 @@ from __future__ import annotations
 from gof.commands.parts import run_part
 
 PARTS = {
-    "dve": (
-        "gof_benchmark.studies.dve",
-        "the score: quadrature order, grid resolution, precision, Monte Carlo, against closed forms",
-    ),
     "score": (
         "gof_benchmark.studies.score",
         "the score of one result: orders of quadrature, weights of Gaussians",
@@ -36,12 +32,11 @@ A study that was stopped goes on where it was.
 {parts}
 
 examples:
-  gof study dve
   gof study score out/fire --dataset data/fire --order 3 5
   gof study generate --out out/study_generate
   gof study reconstruct data/fire --out out/settings
   gof study ablations data/fire --out out/ablations
-  gof study dve --gaussians 2000 --json rows.json       a quick look; --json also writes the figures to a file
+  gof study score out/fire --dataset data/fire --json rows.json       --json also writes the figures to a file
 """
 
 

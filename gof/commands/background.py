@@ -34,18 +34,14 @@ class BackgroundConfig:
     """Largest number of Gaussians."""
     max_size: Pixels = BackgroundOptions.longest_side
     """Pictures with a longer side are shrunk to it."""
-    depth_term: bool = BackgroundOptions.depth_term
-    """Do not hold the Gaussians to the depth maps."""
     flame: Path | None = None
     """Result of `gof reconstruct` to add: scene.npz and scene.ply hold both."""
-    seed: int = BackgroundOptions.seed
-    """Random seed of the order of pictures and of splitting."""
 
 
 def main(argv: list[str]) -> int:
     """`gof background DATASET [--out DIR]`; see --help."""
     config = read_options(BackgroundConfig, "background", argv)
-    options = BackgroundOptions(config.steps, config.gaussians, config.max_size, config.depth_term, seed=config.seed)
+    options = BackgroundOptions(config.steps, config.gaussians, config.max_size)
     out = config.out or next_to(config.dataset, "_background")
     gaussians = make_background(config.dataset, out, options)
     if config.flame is not None:

@@ -1,4 +1,6 @@
-"""`gof study dve`: what quadrature order, grid resolution, precision and Monte Carlo buy, in error and in seconds.
+"""What DVE's quadrature order, grid resolution, precision and Monte Carlo buy, in error and in seconds.
+
+    python -m gof_benchmark.evidence.dve_orders --gaussians 2000
 
 The truth is a closed form of the expected velocity (written out at the end of this file).
 """
@@ -13,9 +15,8 @@ from pathlib import Path
 from typing import ClassVar
 
 import numpy as np
+import tyro
 
-from gof.commands.everywhere import require_free, write_figures
-from gof.commands.read import read_options
 from gof.core.fields import VelocityField
 from gof.core.files import write_json
 from gof.core.records import to_json
@@ -33,16 +34,12 @@ GRIDS = (16, 32, 64, 128)  # cells along each side
 FEW_SAMPLES = 100  # of Monte Carlo; each further row has ten times as many
 
 
-@dataclass
-class DveStudy:
-    """Accuracy against time: quadrature order, grid resolution and precision, against closed forms and Monte Carlo.
+@dataclass(frozen=True)
+class DveOrders:
+    """Accuracy against time: quadrature order, grid resolution and precision, against closed forms and Monte Carlo."""
 
-    Examples:
-      gof study dve --gaussians 2000
-    """
-
-    out: Path | None = None
-    """Folder for study_dve.json and a chart per flow. Default: out/study_dve, where older ones are replaced."""
+    out: Path = Path("out/dve_orders")
+    """Folder for study_dve.json and a chart per flow; older ones are replaced."""
     gaussians: int = 20_000
     """Gaussians per measurement."""
     samples: int = 1_000_000
@@ -71,15 +68,13 @@ class Rows:
     rows: tuple[Row, ...]
 
 
-def main(argv: list[str]) -> int:
-    """`gof study dve`; see --help."""
+def main(argv: list[str] | None = None) -> None:
+    """Print the table, and write it with its charts."""
     from rich.console import Console
     from rich.table import Table
 
-    config = read_options(DveStudy, "study dve", argv)
-    if config.out is not None:
-        require_free(config.out / "study_dve.json")
-    out = config.out or Path("out/study_dve")
+    config = tyro.cli(DveOrders, prog="python -m gof_benchmark.evidence.dve_orders", args=argv)
+    out = config.out
     with progress_bar("study") as progress:
         rows = run(config.gaussians, config.samples, lambda done, total: progress(done, total, stage="DVE"))
     table = Table(title="Expected velocity against closed forms", title_justify="left")
@@ -91,10 +86,8 @@ def main(argv: list[str]) -> int:
     console.print(table)
     content = to_json(Rows(tuple(rows)))
     write_json(out / "study_dve.json", content)
-    write_figures(content)
     charts = write_charts(rows, out)
     console.print(f"written to {out}/study_dve.json, {', '.join(path.name for path in charts)}")
-    return 0
 
 
 def run(count: int = 20_000, samples: int = 1_000_000, progress: Callable[[int, int], None] | None = None) -> list[Row]:
@@ -305,3 +298,7 @@ def gaussian_vortex(width: float) -> Flow:
 
 def _damped(m, C, wave, function):
     return np.exp(-0.5 * np.einsum("i,nij,j->n", wave, C, wave)) * function(m @ wave)
+
+
+if __name__ == "__main__":
+    main()
