@@ -513,3 +513,39 @@ result["still"] = [timeline() == result["sequence"], bpy.ops.gof.fit_scene.poll(
     assert found["moved"] == [[1, round(1 + 240 * (last - first))], pytest.approx(1 - 240 * first, abs=1e-3)]
     assert found["sequence"] == [1, 1 + 0.3 * 100, 100, 1.0], "three files, 10 a second"
     assert found["still"] == [True, False]
+
+
+def test_a_view_from_where_no_camera_filmed_is_a_guess(folder):
+    """Cameras at -35, 0 and 35 degrees on an arc; those held out do not count, nor does a camera of the user's own."""
+    found = in_blender(
+        LOOK
+        + """
+import math
+from mathutils import Vector
+from gof_blender.scene import captured, filmed
+
+def add(name, degrees, of_ours=True):
+    camera = bpy.data.objects.new(name, bpy.data.cameras.new(name))
+    camera.rotation_euler = (math.pi / 2, 0, math.radians(degrees))
+    scene.collection.objects.link(camera)
+    if of_ours:
+        camera[captured.NAME] = name
+
+def guess(degrees):
+    bpy.context.view_layer.update()
+    return filmed.guess(scene, Vector((-math.sin(math.radians(degrees)), math.cos(math.radians(degrees)), 0)))
+
+add("mine", 180, of_ours=False)
+result["none"] = guess(0)
+for number, degrees in enumerate((-35, 0, 35)):
+    add(f"cam_{number}", degrees)
+add("eval_0", 120)
+add("around_3", 180)
+result["words"] = [guess(degrees) for degrees in (0, 17, 54, 56, 90, 180, -125)]
+""",
+        folder,
+    )
+    assert found["none"] == "Sides that no camera filmed are guesses"
+    away = [None, None, None, 21, 55, 145, 90]
+    said = "{}\N{DEGREE SIGN} from the nearest camera: its shape is a guess"
+    assert found["words"] == [None if angle is None else said.format(angle) for angle in away]
