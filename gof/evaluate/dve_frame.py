@@ -22,7 +22,6 @@ from gof.core.errors import GofError, NonFiniteError
 from gof.core.gaussians import MovingGaussians
 from gof.evaluate.expectation import expected_velocity
 from gof.evaluate.quadrature import VelocityLike
-from gof.evaluate.wavelength import share_of_short_waves
 
 Opacity = Literal["temporal", "base"]
 
@@ -45,7 +44,6 @@ class Samples:
     inside: np.ndarray  # (M,) share of the Gaussian inside the domain, 0..1
     wide: np.ndarray  # (M,) bool, largest standard deviation above WIDE_VOXELS
     culled: int  # Gaussians skipped for negligible weight
-    short_waves: float = 0.0  # share of the weight in Gaussians wider than 1.5 rad of the local wavelength, 0..1
 
     def only_inside(self) -> Samples:
         """Return the Gaussians with at least half of their mass in the domain; truth is averaged over that part
@@ -75,7 +73,6 @@ class Sums:
     zero_truth: float = 0.0
     zero_velocity: float = 0.0
     wide: float = 0.0
-    short_waves: float = 0.0
     stated: float = 0.0  # of Gaussians that say how sure they are
     within: float = 0.0  # of those, times the share of their components within one standard deviation of the truth
     error2_axis: tuple[float, float, float] = (0.0, 0.0, 0.0)
@@ -100,7 +97,6 @@ class DVEResult:
     weight_zero_truth: float  # share with no true direction; it adds 0 to CosSim's numerator
     weight_zero_velocity: float  # share with no estimated direction; likewise
     weight_undersampled: float  # share of Gaussians wider than 2 voxels, whose quadrature is uncertain
-    weight_short_waves: float  # share of Gaussians wider than 1.5 rad of the field's wavelength (`wavelength`)
     speed_ratio: float | None  # least-squares gain sum w v.vbar / sum w |vbar|^2; 1: the speed is right
     l2_axis: tuple[float, float, float] | None  # error along world x, y, z over the norm of the whole truth
     undefined: str = ""
@@ -125,7 +121,6 @@ class DVEResult:
             weight_zero_truth=share(s.zero_truth),
             weight_zero_velocity=share(s.zero_velocity),
             weight_undersampled=share(s.wide),
-            weight_short_waves=share(s.short_waves),
             speed_ratio=s.dot / s.truth2 if has_truth else None,
             l2_axis=_axes(float(np.sqrt(e / s.truth2)) for e in s.error2_axis) if has_truth else None,
             undefined=reason,
@@ -208,7 +203,6 @@ def probe(
         inside=truth.inside,
         wide=scale.max(1, initial=0.0) > WIDE_VOXELS * field.voxel_size,
         culled=int(np.count_nonzero(weight)) - len(index),
-        short_waves=share_of_short_waves(field, position, scale, state.rotation[index], weight[index]),
     )
 
 
@@ -261,7 +255,6 @@ def weighted_sums(samples: Samples, velocity: np.ndarray | None = None, truth: n
         culled=samples.culled,
         outside=_sum(samples.weight * (1 - samples.inside)),
         wide=_sum(samples.weight[samples.wide]),
-        short_waves=samples.short_waves * sums.weight,
     )
 
 

@@ -121,10 +121,4 @@ def sanity_warnings(score: DVESequence) -> list[str]:
             f"estimated speeds are {p.speed_ratio:.3g} times the true ones: velocities per millisecond, per frame or "
             "in cm/s?"
         )
-    if p.weight_short_waves > 0.1:
-        hints.append(
-            f"{p.weight_short_waves:.0%} of the weight is in Gaussians wider than 1.5 rad of the flow's local "
-            "wavelength, where three nodes per axis fail: compare order 3 with 5 or 7 (gof study score) before "
-            "trusting the last digits"
-        )
     return hints
