@@ -141,7 +141,7 @@ def _flame(frames: np.ndarray, masks: np.ndarray, plate: np.ndarray, name: str) 
             "plate",
             name,
             left,
-            (MOST_FIRE_LEFT / 5, MOST_FIRE_LEFT),
+            (MOST_FIRE_LEFT, 5 * MOST_FIRE_LEFT),  # where gof ingest warns, and where little of the plate is right
             f"{left:.2%} of the picture never shows what is behind the fire",
             "film the place for some seconds without fire from the same tripod, and give gof ingest --plates FOLDER",
         ),
