@@ -105,6 +105,7 @@ TINY = ("--gaussians", "300", "--iterations", "20", "--voxels", "16")
 TOY = {
     "choices": ("FLAME", "--out", "OUT", "--only", "ours", "plates in the dark", *TINY),
     "calibration": ("FLAME",),
+    "dve_orders": ("--out", "OUT", "--gaussians", "100", "--samples", "1000"),
     "dve_speed": ("--counts", "1000", "--sizes", "16", "--scipy-up-to", "1000"),
     "flow_fusion": ("FLAME", "--voxels", "16"),
     "gas_lookup": ("FLAME", "RESULT"),
