@@ -26,7 +26,7 @@ class FlowConfig:
 
     Examples:
       gof flow out/fire --dataset data/fire
-      gof flow theirs.pth --dataset data/fire --cameras cam_1 --all-frames --files flo png --out out/theirs_flow
+      gof flow out/fire --dataset data/fire --cameras cam_1 --all-frames --files flo png --out out/fire_flow
 
     A pixel moves as the Gaussians that it shows, each by its velocity times the derivative of the projection, weighted
     as their colours are. OUT/CAMERA/000000.exr holds the channels flow.X and flow.Y, in pixels per frame to the right

@@ -82,7 +82,7 @@ def test_velocity_is_weighted_and_impossible_boxes_are_refused():
     assert np.abs(found["velocity"][found["density"] > 0] - [0.25, 0, 3.0]).max() < 1e-5
     with pytest.raises(voxels.VoxelError, match="make them .* m or more"):
         voxels.box_of(both, np.array([0.0]), 1e-5)
-    with pytest.raises(voxels.VoxelError, match="nothing is seen"):
+    with pytest.raises(voxels.VoxelError, match="nothing is visible"):
         voxels.box_of(cloud(), np.array([50.0]), 0.02)
 
 

@@ -32,8 +32,8 @@ def column(times, n=500) -> TransientGaussians:
         t_sigma=np.full(n, np.inf),
         scale=rng.uniform(0.015, 0.04, (n, 3)),
         rotation=rng.normal(size=(n, 4)),
-        opacity=rng.uniform(0.05, 0.5, n),
-        color=np.array([1.0, 0.6, 0.15]) * rng.uniform(0.5, 1, (n, 1)),
+        opacity=rng.uniform(0.05, 0.5, n) * rng.uniform(0.5, 1, n),
+        color=np.tile([1.0, 0.6, 0.15], (n, 1)),  # of light: fire hides no more than it shines
         dynamic=np.ones(n, bool),
     )
 
