@@ -72,7 +72,7 @@ def test_the_old_name_of_ingest_still_works_and_says_the_new_one():
 def test_study_explains_and_names_every_study():
     done = run("study", "--help")
     assert done.returncode == 0, done.stderr
-    for name in ("dve", "generate", "reconstruct", "ablations"):
+    for name in ("score", "generate", "reconstruct", "ablations"):
         assert f"gof study {name}" in done.stdout
         one = run("study", name, "--help")
         assert one.returncode == 0 and f"usage: gof study {name}" in one.stdout
