@@ -48,7 +48,6 @@ WRONG = {  # command and what it needs, by option: values that it cannot have
         "--steps": ("-1", "0"),
         "--gaussians": ("-1", "0"),
         "--max-size": ("-1", "0"),
-        "--seed": ("-1",),
     },
     "ingest DATASET DATASET --out OUT --times 30": {
         "--fov": (*NO, "180"),

@@ -112,7 +112,7 @@ def stages_of(config: DemoConfig) -> list[Stage]:
     out, dataset, scene = config.out, config.out / "dataset", config.out / "scene.json"
     made, result, preview = dataset / "dataset.json", out / "reconstruct" / "result.npz", out / "preview.png"
     effort = [x for name in ("gaussians", "steps") if (n := getattr(config, name)) for x in (f"--{name}", n)]
-    into_blender = ["--dataset", dataset, "--out", out / "result.blend", "--preview", preview, "--samples", 8]
+    into_blender = ["--dataset", dataset, "--out", out / "result.blend", "--preview", preview]
     return [
         Stage(
             "generate",

@@ -32,7 +32,6 @@ LEAST = (
     ("steps", "--steps", 1),
     ("gaussians", "--gaussians", 2),
     ("longest_side", "--max-size", 16),
-    ("seed", "--seed", 0),
 )
 
 
