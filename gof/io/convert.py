@@ -1,4 +1,4 @@
-"""Any known result to our formats, or to those of other programs: FTGS-PLY, .4dgs, GLB, SPZ, SOG, PLYs in a row."""
+"""Any known result to our formats, or to those of other programs: FTGS-PLY, .4dgs, USD, GLB, SPZ, SOG, PLYs in a row."""
 
 from __future__ import annotations
 
@@ -12,11 +12,12 @@ from gof.core.errors import DataFormatError, NonFiniteError
 from gof.core.gaussians import TransientGaussians
 from gof.core.ply import splat_columns, write
 from gof.host.options import require_number
-from gof.io import compressed, fourdgs, gltf
+from gof.io import compressed, fourdgs, gltf, usd
 from gof.io.importers import Imported, ImportOptions, gof_files, read_result
 from gof.io.kept import what_is_kept
 
 FOURDGS = ".4dgs"
+FRAMES = ("", *usd.SUFFIXES)  # suffixes of formats that hold one frame after another
 INSTANT = (".glb", *compressed.SUFFIXES)  # suffixes of formats that hold the state at one time
 
 
@@ -31,26 +32,26 @@ def convert(
 ) -> list[str]:
     """Write a result by suffix: .npz (exact), .ply (3DGS, time, velocity), .ftgs.ply, .4dgs, .glb, .spz, .sog.
 
-    A name without a suffix is a folder of 3DGS PLYs, one every `frame_time_s`.
+    A .usda, .usdc or a folder of 3DGS PLYs (a name without a suffix) holds a frame every `frame_time_s`.
 
     Returns what the format made of it, in words.
 
     Args:
-        start_s, end_s: first and last second of the clip in an .ftgs.ply, a .4dgs or a folder of PLYs; default: when
-            the first Gaussian appears and when the last one is gone.
+        start_s, end_s: first and last second of the clip in an .ftgs.ply, a .4dgs, a USD or a folder of PLYs; default:
+            when the first Gaussian appears and when the last one is gone.
         frame_time_s: seconds between two frames; with both of the above it tells an .ftgs.ply its number of frames.
         time_s: instant of a .glb, .spz or .sog; default: the middle of the Gaussians' times.
         overwrite: replace a file that is there; a folder never is.
     Raises:
         DataFormatError: the file exists, the suffix is unknown, positions sampled in time are to become a closed form,
-            start_s, end_s or time_s is given for another format, a folder of PLYs without frame_time_s, or a value that
-            the format cannot hold.
+            start_s, end_s or time_s is given for another format, frames without frame_time_s, or a value that the format
+            cannot hold.
     """
     require_number("--clip", start_s)
     require_number("--clip", end_s)
     require_number("--time", time_s)
-    if (start_s, end_s) != (None, None) and not (out.suffix in ("", FOURDGS) or out.name.endswith(".ftgs.ply")):
-        raise DataFormatError(f"{out}: --clip means something in .ftgs.ply, .4dgs and folders only; leave it out")
+    if (start_s, end_s) != (None, None) and not (out.suffix in (*FRAMES, FOURDGS) or out.name.endswith(".ftgs.ply")):
+        raise DataFormatError(f"{out}: --clip means something in .ftgs.ply, .4dgs, USD and folders only; leave it out")
     if time_s is not None and out.suffix not in INSTANT:
         raise DataFormatError(f"{out}: --time means something in {', '.join(INSTANT)} only; leave it out")
     if out.exists() and not (overwrite and out.is_file()):
@@ -81,11 +82,13 @@ def _written(
         return _save_fourdgs(gaussians, out, *_clip(gaussians, out, start_s, end_s), source)
     if out.suffix in INSTANT:
         return _save_instant(gaussians, out, time_s, source)
-    if out.suffix == "":
+    if out.suffix in FRAMES:
         if not frame_time_s:
-            raise DataFormatError(f"{out}: a folder of PLYs needs --frame-time, the seconds from one file to the next")
-        notes = save_frames(gaussians, out, *_clip(gaussians, out, start_s, end_s), frame_time_s)
-        return [*_measured(gaussians), *notes]
+            raise DataFormatError(f"{out}: USD and folders of PLYs need --frame-time, the seconds between two frames")
+        clip = _clip(gaussians, out, start_s, end_s)
+        if out.suffix:
+            return [*_measured(gaussians), *usd.save(gaussians, out, *clip, frame_time_s, source)]
+        return [*_measured(gaussians), *save_frames(gaussians, out, *clip, frame_time_s)]
     gaussians.save(out, source)
     return []
 

@@ -1,0 +1,162 @@
+"""OpenUSD: the Gaussians frame by frame as a `ParticleField3DGaussianSplat` with time samples (26.03 and later).
+
+The text (.usda) is written here. The binary form (.usdc) is made of that text by OpenUSD's own library, where it is
+installed. The Gaussians are the same ones in all frames, so that players interpolate between frames too. They move
+evenly, so the first and the last place say all others exactly; opacities have a sample a frame. The closed form itself,
+which the schema has no names for, stands beside in primvars.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from pathlib import Path
+from typing import IO
+
+import numpy as np
+
+from gof.core.errors import DataFormatError, MissingDependencyError, require_finite
+from gof.core.files import atomic_path
+from gof.core.gaussians import TransientGaussians
+from gof.core.harmonics import C0
+
+SUFFIXES = (".usda", ".usdc")
+VISIBLE = 1 / 255  # opacity below which a Gaussian changes no 8-bit picture: written as 0
+MOST_FRAMES = 100_000
+REACH_SIGMAS = 3.0  # of a splat's box
+HEAD = """#usda 1.0
+(
+    customLayerData = {{
+        double gof_start_s = {start_s!r}
+        string source = {source}
+    }}
+    defaultPrim = "flame"
+    doc = "{count} Gaussians of gof; time code k is {start_s!r} s + k {step_s!r} s of the dataset clock"
+    endTimeCode = {last}
+    framesPerSecond = {rate!r}
+    metersPerUnit = 1
+    startTimeCode = 0
+    timeCodesPerSecond = {rate!r}
+    upAxis = "Z"
+)
+
+def ParticleField3DGaussianSplat "flame"
+{{
+    uniform int radiance:sphericalHarmonicsDegree = {degree}
+"""
+TUPLES = {1: "%.7g", 3: "(%.7g, %.7g, %.7g)", 4: "(%.7g, %.7g, %.7g, %.7g)"}  # seven digits: what a float32 holds
+
+
+def save(
+    gaussians: TransientGaussians, path: Path, start_s: float, end_s: float, step_s: float, source: str = ""
+) -> list[str]:
+    """Write .usda, or .usdc: frame k is the state at start_s + k step_s, Z up, metres, time codes are frames.
+
+    Returns what was written, in words.
+
+    Raises:
+        DataFormatError: no or too many frames, or nothing is ever seen.   NonFiniteError: a value is beyond a float32.
+        MissingDependencyError: a .usdc, and OpenUSD is not installed, or older than the schema.
+    """
+    count = int(np.floor((end_s - start_s) / step_s + 1e-6)) + 1
+    if not 1 <= count <= MOST_FRAMES:
+        raise DataFormatError(f"{path}: {count} frames from {start_s} s to {end_s} s; choose --clip, --frame-time")
+    binary = _binary(path) if path.suffix == ".usdc" else None
+    times = start_s + step_s * np.arange(count)
+    seen = np.zeros(len(gaussians), bool)
+    for time_s in times:
+        seen |= gaussians.at(time_s)[1] >= VISIBLE
+    if not seen.any():
+        raise DataFormatError(f"{path}: no Gaussian can be seen between {start_s} s and {end_s} s; is that the clip?")
+    with atomic_path(path) as draft:
+        text = draft.with_suffix(".usda")
+        try:
+            with text.open("w", encoding="ascii", newline="\n") as out:
+                _write_text(out, gaussians[seen], times, step_s, source)
+            if binary:
+                binary(text, draft)
+        finally:
+            if text != draft:
+                text.unlink(missing_ok=True)
+    return [
+        f"{count} frames of {seen.sum():,} Gaussians, {1e3 * step_s:g} ms apart from {start_s:g} s on, Z up",
+        f"{path.stat().st_size:,} bytes; numbers have seven digits, opacities below 1/255 are 0",
+    ]
+
+
+def _write_text(out: IO[str], g: TransientGaussians, times: np.ndarray, step_s: float, source: str) -> None:
+    sh = (g.color[:, None] - 0.5) / C0 if g.color.ndim == 2 else g.color
+    always = ~(g.dynamic & np.isfinite(g.t_sigma))
+    ends = {0: times[0], len(times) - 1: times[-1]}
+    facts = {"count": len(g), "start_s": float(times[0]), "step_s": float(step_s), "rate": float(1 / step_s)}
+    facts |= {"degree": round(sh.shape[1] ** 0.5) - 1, "last": len(times) - 1, "source": json.dumps(source)}
+    out.write(HEAD.format(**facts))
+    _write(out, "point3f[] positions", {k: g.at(time_s)[0] for k, time_s in ends.items()})
+    _write(out, "float[] opacities", ((k, _opacity(g, time_s)) for k, time_s in enumerate(times)))
+    _write(out, "float3[] extent", ((k, _box(g, time_s)) for k, time_s in enumerate(times)))
+    _write(out, "float3[] scales", g.scale)
+    _write(out, "quatf[] orientations", g.rotation)  # in text the real part comes first, as here
+    _write(out, "float3[] radiance:sphericalHarmonicsCoefficients", sh.reshape(-1, 3))
+    _write(out, "vector3f[] primvars:velocity", np.where(g.dynamic[:, None], g.velocity, 0))
+    if g.gas_velocity is not None:
+        _write(out, "vector3f[] primvars:gas_velocity", g.moving_gas)
+    _write(out, "float[] primvars:t_mu", np.where(always, 0, g.t_mu))
+    _write(out, "float[] primvars:t_sigma", np.where(always, 0, g.t_sigma))  # 0: always on
+    _write(out, "float[] primvars:peak_opacity", g.opacity)
+    out.write("}\n")
+
+
+def _opacity(g: TransientGaussians, time_s: float) -> np.ndarray:
+    opacity = g.at(time_s)[1]
+    return np.where(opacity >= VISIBLE, opacity, 0)
+
+
+def _box(g: TransientGaussians, time_s: float) -> np.ndarray:
+    """Return (2, 3) the lowest and the highest corner of what is seen; at the origin where nothing is."""
+    position, opacity = g.at(time_s)
+    seen = opacity >= VISIBLE
+    if not seen.any():
+        return np.zeros((2, 3))
+    half = REACH_SIGMAS * g.scale[seen].max(1, keepdims=True)
+    return np.stack([(position[seen] - half).min(0), (position[seen] + half).max(0)])
+
+
+def _write(out: IO[str], name: str, values: np.ndarray | Mapping[int, np.ndarray] | Iterable) -> None:
+    """Write an attribute: an array that holds at all times, or arrays by frame."""
+    primvar = ' (\n        interpolation = "vertex"\n    )' if "primvars:" in name else ""
+    if isinstance(values, np.ndarray):
+        out.write(f"    {name} = [")
+        out.writelines(_tuples(name, values))
+        out.write(f"]{primvar}\n")
+        return
+    out.write(f"    {name}.timeSamples = {{\n")
+    for frame, array in values.items() if isinstance(values, Mapping) else values:
+        out.write(f"        {frame}: [")
+        out.writelines(_tuples(name, array))
+        out.write("],\n")
+    out.write("    }\n")
+
+
+def _tuples(name: str, values: np.ndarray) -> Iterator[str]:
+    """Yield an array's values as text, many at a time."""
+    require_finite(name, values, "a USD of float32")
+    one = TUPLES[1 if values.ndim == 1 else values.shape[1]]
+    for first in range(0, len(values), 4096):
+        part = values[first : first + 4096]
+        yield (", " if first else "") + ", ".join([one] * len(part)) % tuple(part.ravel().tolist())
+
+
+def _binary(path: Path) -> Callable[[Path, Path], None]:
+    """Return what makes a .usdc of a .usda. Raises MissingDependencyError: see `save`."""
+    remedy = "pip install usd-core (26.3 or later), or write .usda, which is the same as text"
+    try:
+        from pxr import Sdf, Usd
+    except ImportError as e:
+        raise MissingDependencyError(f"{path}: writing .usdc needs OpenUSD: {remedy}") from e
+    if Usd.GetVersion() < (0, 26, 3):
+        raise MissingDependencyError(f"{path}: OpenUSD {Usd.GetVersion()} knows no Gaussian splats: {remedy}")
+
+    def convert(text: Path, binary: Path) -> None:
+        Sdf.Layer.FindOrOpen(str(text)).Export(str(binary))
+
+    return convert
