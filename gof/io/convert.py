@@ -1,4 +1,4 @@
-"""Any known result to our formats, or to those of other programs: FTGS-PLY, .4dgs, USD, GLB, SPZ, SOG, PLYs in a row."""
+"""Any known result to our formats, or to those of other programs: some that move, some of one instant."""
 
 from __future__ import annotations
 
@@ -12,11 +12,11 @@ from gof.core.errors import DataFormatError, NonFiniteError
 from gof.core.gaussians import TransientGaussians
 from gof.core.ply import splat_columns, write
 from gof.host.options import require_number
-from gof.io import compressed, fourdgs, gltf, usd
+from gof.io import compressed, fourdgs, gltf, tsog, usd
 from gof.io.importers import Imported, ImportOptions, gof_files, read_result
 from gof.io.kept import what_is_kept
 
-FOURDGS = ".4dgs"
+MOVING = {".4dgs": fourdgs, tsog.SUFFIX: tsog}  # suffixes of formats that hold what ours do, rounded
 FRAMES = ("", *usd.SUFFIXES)  # suffixes of formats that hold one frame after another
 INSTANT = (".glb", *compressed.SUFFIXES)  # suffixes of formats that hold the state at one time
 
@@ -30,28 +30,30 @@ def convert(
     time_s: float | None = None,
     overwrite: bool = False,
 ) -> list[str]:
-    """Write a result by suffix: .npz (exact), .ply (3DGS, time, velocity), .ftgs.ply, .4dgs, .glb, .spz, .sog.
+    """Write a result by suffix: .npz (exact), .ply (3DGS, time, velocity), .ftgs.ply, .4dgs, .tsog, .glb, .spz, .sog.
 
     A .usda, .usdc or a folder of 3DGS PLYs (a name without a suffix) holds a frame every `frame_time_s`.
 
     Returns what the format made of it, in words.
 
     Args:
-        start_s, end_s: first and last second of the clip in an .ftgs.ply, a .4dgs, a USD or a folder of PLYs; default:
-            when the first Gaussian appears and when the last one is gone.
+        start_s, end_s: first and last second of the clip, where the format has one; default: when the first Gaussian
+            appears and when the last one is gone.
         frame_time_s: seconds between two frames; with both of the above it tells an .ftgs.ply its number of frames.
         time_s: instant of a .glb, .spz or .sog; default: the middle of the Gaussians' times.
         overwrite: replace a file that is there; a folder never is.
     Raises:
         DataFormatError: the file exists, the suffix is unknown, positions sampled in time are to become a closed form,
-            start_s, end_s or time_s is given for another format, frames without frame_time_s, or a value that the format
-            cannot hold.
+            start_s, end_s or time_s is given for another format, frames without frame_time_s, or a value that the
+            format cannot hold.
     """
     require_number("--clip", start_s)
     require_number("--clip", end_s)
     require_number("--time", time_s)
-    if (start_s, end_s) != (None, None) and not (out.suffix in (*FRAMES, FOURDGS) or out.name.endswith(".ftgs.ply")):
-        raise DataFormatError(f"{out}: --clip means something in .ftgs.ply, .4dgs, USD and folders only; leave it out")
+    if (start_s, end_s) != (None, None) and not (out.suffix in (*FRAMES, *MOVING) or out.name.endswith(".ftgs.ply")):
+        raise DataFormatError(
+            f"{out}: --clip means something in .ftgs.ply, .4dgs, .tsog, USD and folders only; leave it out"
+        )
     if time_s is not None and out.suffix not in INSTANT:
         raise DataFormatError(f"{out}: --time means something in {', '.join(INSTANT)} only; leave it out")
     if out.exists() and not (overwrite and out.is_file()):
@@ -78,8 +80,8 @@ def _written(
     if out.name.endswith(".ftgs.ply"):
         return _save_ftgs(gaussians, out, start_s, end_s, frame_time_s)
     source = gof_files.converted(imported.method, imported.path)
-    if out.suffix == FOURDGS:
-        return _save_fourdgs(gaussians, out, *_clip(gaussians, out, start_s, end_s), source)
+    if out.suffix in MOVING:
+        return _save_moving(gaussians, out, *_clip(gaussians, out, start_s, end_s), source)
     if out.suffix in INSTANT:
         return _save_instant(gaussians, out, time_s, source)
     if out.suffix in FRAMES:
@@ -108,13 +110,17 @@ def _save_ftgs(
     return [*_measured(gaussians), *ftgs.losses(gaussians, start_s, end_s)]
 
 
-def _save_fourdgs(gaussians: TransientGaussians, out: Path, start_s: float, end_s: float, source: str) -> list[str]:
-    """Write a .4dgs, read it again, and say what that cost."""
-    order = fourdgs.save(gaussians, out, start_s, end_s, source)
+def _save_moving(gaussians: TransientGaussians, out: Path, start_s: float, end_s: float, source: str) -> list[str]:
+    """Write a file of one of the MOVING formats, read it again, and say what that cost."""
+    order = MOVING[out.suffix].save(gaussians, out, start_s, end_s, source)
     back = read_result(out, ImportOptions()).gaussians
     sizes = f"{out.stat().st_size:,} bytes, {out.stat().st_size / len(gaussians):.1f} a Gaussian"
     clock = f"its clock begins at {start_s:g} s and lasts {end_s - start_s:g} s"
-    return [f"{sizes}; {clock}", *fourdgs.losses(gaussians), what_is_kept(gaussians[order], back, start_s, end_s)]
+    return [
+        f"{sizes}; {clock}",
+        *MOVING[out.suffix].losses(gaussians),
+        what_is_kept(gaussians[order], back, start_s, end_s),
+    ]
 
 
 def _measured(gaussians: TransientGaussians) -> list[str]:
