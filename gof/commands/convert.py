@@ -32,10 +32,11 @@ class ConvertConfig:
       gof convert chkpnt30000.pth mine.npz --time-unit 0.35 --align sparse/0 --dataset data/fire
       gof convert chkpnt30000.pth --time-unit 0.35
 
-    The suffix of OUT chooses: .npz (exact), .ply (3DGS attributes, time and velocity), .ftgs.ply (FreeTimeGS players),
-    .4dgs (one small file that moves; prints what that costs in dB and mm/s), .usda and .usdc (OpenUSD, which moves in
-    Blender 5.3), .glb (glTF with KHR_gaussian_splatting at one instant, with velocities); .spz and .sog (one instant,
-    compressed); a name without a suffix is a folder of 3DGS PLYs, one for each frame. Z is up, in .glb, .spz and .sog Y.
+    The suffix of OUT chooses. Exact: .npz, .ply (3DGS attributes, time and velocity), .ftgs.ply (FreeTimeGS players).
+    Small files that move, whose loss in dB and mm/s is printed: .4dgs, .tsog, .dgs. Frames: .usda and .usdc (OpenUSD,
+    which plays in Blender 5.3); a name without a suffix is a folder of 3DGS PLYs. One instant: .glb (glTF with
+    KHR_gaussian_splatting, with velocities), .spz and .sog. Y is up in .tsog, .dgs, .glb, .spz and .sog, as their
+    viewers expect; Z elsewhere.
 
     Without OUT, the options that describe another method's files are written to RESULT.gof.json beside them, and every
     command that reads RESULT uses them. docs/importers.md lists what each method needs.
@@ -50,8 +51,8 @@ class ConvertConfig:
     time: Seconds | None = None
     """The instant in a .glb, .spz or .sog; default: the middle of the Gaussians' times."""
     clip: tuple[Seconds, Seconds] | None = None
-    """First and last second of the clip in an .ftgs.ply (times 0 and 1), a .4dgs, USD or folder; default: when the
-    first Gaussian appears, and when the last one is gone."""
+    """First and last second of the clip, in formats that have one; default: when the first Gaussian appears, and when the
+    last one is gone."""
     frame_time: Seconds | None = None
     """From one frame to the next, for results that count frames, for USD and for a folder of PLYs."""
     time_unit: Seconds | None = None

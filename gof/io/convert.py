@@ -12,11 +12,11 @@ from gof.core.errors import DataFormatError, NonFiniteError
 from gof.core.gaussians import TransientGaussians
 from gof.core.ply import splat_columns, write
 from gof.host.options import require_number
-from gof.io import compressed, fourdgs, gltf, tsog, usd
+from gof.io import compressed, dgs, fourdgs, gltf, tsog, usd
 from gof.io.importers import Imported, ImportOptions, gof_files, read_result
 from gof.io.kept import what_is_kept
 
-MOVING = {".4dgs": fourdgs, tsog.SUFFIX: tsog}  # suffixes of formats that hold what ours do, rounded
+MOVING = {".4dgs": fourdgs, tsog.SUFFIX: tsog, dgs.SUFFIX: dgs}  # suffixes of formats that hold what ours do, rounded
 FRAMES = ("", *usd.SUFFIXES)  # suffixes of formats that hold one frame after another
 INSTANT = (".glb", *compressed.SUFFIXES)  # suffixes of formats that hold the state at one time
 
@@ -52,7 +52,7 @@ def convert(
     require_number("--time", time_s)
     if (start_s, end_s) != (None, None) and not (out.suffix in (*FRAMES, *MOVING) or out.name.endswith(".ftgs.ply")):
         raise DataFormatError(
-            f"{out}: --clip means something in .ftgs.ply, .4dgs, .tsog, USD and folders only; leave it out"
+            f"{out}: --clip means something in .ftgs.ply, .4dgs, .tsog, .dgs, USD and folders only; leave it out"
         )
     if time_s is not None and out.suffix not in INSTANT:
         raise DataFormatError(f"{out}: --time means something in {', '.join(INSTANT)} only; leave it out")
@@ -113,11 +113,13 @@ def _save_ftgs(
 def _save_moving(gaussians: TransientGaussians, out: Path, start_s: float, end_s: float, source: str) -> list[str]:
     """Write a file of one of the MOVING formats, read it again, and say what that cost."""
     order = MOVING[out.suffix].save(gaussians, out, start_s, end_s, source)
-    back = read_result(out, ImportOptions()).gaussians
+    timeless = out.suffix == dgs.SUFFIX  # it says nothing of our clock, nor of a datum
+    back = read_result(out, ImportOptions(time_zero_s=start_s if timeless else 0.0)).gaussians
     sizes = f"{out.stat().st_size:,} bytes, {out.stat().st_size / len(gaussians):.1f} a Gaussian"
     clock = f"its clock begins at {start_s:g} s and lasts {end_s - start_s:g} s"
     return [
         f"{sizes}; {clock}",
+        *(_measured(gaussians) if timeless else []),
         *MOVING[out.suffix].losses(gaussians),
         what_is_kept(gaussians[order], back, start_s, end_s),
     ]

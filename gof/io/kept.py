@@ -23,7 +23,7 @@ def what_is_kept(before: TransientGaussians, after: TransientGaussians, start_s:
     words = [f"places are {np.sqrt(np.mean(place**2)):.2g} mm off (rms; at most {place.max():.2g})"]
     for name, label in (("velocity", "velocities"), ("gas_velocity", "those of the gas")):
         one, other = getattr(before, name), getattr(after, name)
-        if one is not None and before.dynamic.any():
+        if one is not None and other is not None and before.dynamic.any():
             off = 1e3 * np.linalg.norm(other - one, axis=1)[before.dynamic]
             words.append(f"{label} {np.sqrt(np.mean(off**2)):.2g} mm/s (rms; at most {off.max():.2g})")
     psnr = _psnr(before, after, [start_s + share * (end_s - start_s) for share in INSTANTS])

@@ -15,7 +15,7 @@ import numpy as np
 from gof.core.datum import require_digits
 from gof.core.errors import DataFormatError, GofError
 from gof.core.gaussians import MovingGaussians, TransientGaussians
-from gof.io.importers import fourdgs, freetime, gof_files, paper_code, ply_sequence, refused, spacetime, tsog, yang
+from gof.io.importers import dgs, fourdgs, freetime, gof_files, paper_code, ply_sequence, refused, spacetime, tsog, yang
 from gof.io.importers.sidecar import in_words, with_said
 from gof.io.importers.source import FLAGS, Imported, ImportOptions, Source
 
@@ -29,6 +29,7 @@ METHODS = {
     "ply-sequence": ply_sequence,
     "4dgs": fourdgs,
     "tsog": tsog,
+    "dgs": dgs,
     "unreadable": refused,
 }
 
