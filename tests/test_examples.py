@@ -48,7 +48,6 @@ SAID = {  # page: words that stand for the reader's own files
         "RESULT": "mine.npz",
         "DATASET": "data/fire",
         "CAMERAS": "data/fire/dataset.json",
-        "out.npz | out.ply | out.ftgs.ply | out.4dgs | out.glb | out.spz | out.sog | FOLDER": "out.glb",
         "model/chkpnt30000.pth": "mine.npz",  # a checkpoint of another method
     },
     "scores.md": {

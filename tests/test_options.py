@@ -121,7 +121,7 @@ def test_options_that_would_be_ignored_are_refused(tiny_dataset, tmp_path, capsy
     for command, word in (
         (["evaluate", result, "--dataset", tiny_dataset, "--published", tmp_path], "gof depth"),
         (["reconstruct", tiny_dataset, "--out", tmp_path / "o", "--flow-weights", tmp_path], "--flow memfof"),
-        (["convert", result, tmp_path / "a.npz", "--clip", "0", "1"], ".ftgs.ply, .4dgs and folders only"),
+        (["convert", result, tmp_path / "a.npz", "--clip", "0", "1"], "USD and folders only"),
         (["convert", result, tmp_path / "a.npz", "--world", tmp_path / "nothing"], "--world"),
         (["convert", result], "name a file to write"),
         (["convert", result, "--time-unit", "2", "--time", "0"], "name it (OUT)"),

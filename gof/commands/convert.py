@@ -51,8 +51,8 @@ class ConvertConfig:
     time: Seconds | None = None
     """The instant in a .glb, .spz or .sog; default: the middle of the Gaussians' times."""
     clip: tuple[Seconds, Seconds] | None = None
-    """First and last second of the clip, in formats that have one; default: when the first Gaussian appears, and when the
-    last one is gone."""
+    """First and last second of the clip, in formats that have one; default: when the first Gaussian appears, and when
+    the last one is gone."""
     frame_time: Seconds | None = None
     """From one frame to the next, for results that count frames, for USD and for a folder of PLYs."""
     time_unit: Seconds | None = None

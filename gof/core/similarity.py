@@ -8,6 +8,8 @@ from .errors import GofError
 from .harmonics import turned
 from .rotations import quaternion_product, quaternions_wxyz
 
+Y_UP = np.array([[1.0, 0, 0, 0], [0, 0, 1, 0], [0, -1, 0, 0], [0, 0, 0, 1]])  # to the worlds of glTF and most viewers
+
 
 def decompose(matrix: np.ndarray) -> tuple[float, np.ndarray, np.ndarray]:
     """Scale s, rotation R (3, 3) and translation t (3,) of a similarity (4, 4).

@@ -11,8 +11,8 @@ from gof.core.errors import DataFormatError
 from gof.core.files import atomic_path
 from gof.core.gaussians import TransientGaussians
 from gof.core.ply import splat_columns, write
+from gof.core.similarity import Y_UP
 from gof.host import extras
-from gof.io.gltf import Y_UP
 
 SUFFIXES = (".spz", ".sog")
 VISIBLE = 1 / 255  # opacity below which a Gaussian changes no 8-bit picture

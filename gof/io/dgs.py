@@ -17,7 +17,7 @@ from gof.core.files import write_bytes
 from gof.core.gaussians import TransientGaussians
 from gof.core.harmonics import C0
 from gof.core.morton import morton_order
-from gof.io.gltf import Y_UP
+from gof.core.similarity import Y_UP
 
 SUFFIX = ".dgs"
 MAGIC = b"glps"

@@ -19,9 +19,9 @@ from gof.core.errors import DataFormatError, require_finite
 from gof.core.files import atomic_path
 from gof.core.gaussians import TransientGaussians
 from gof.core.harmonics import C0, plain_color
+from gof.core.similarity import Y_UP
 
 EXTENSION = "KHR_gaussian_splatting"
-Y_UP = np.array([[1.0, 0, 0, 0], [0, 0, 1, 0], [0, -1, 0, 0], [0, 0, 0, 1]])
 TYPES = {1: "SCALAR", 3: "VEC3", 4: "VEC4"}
 FLOAT, UNSIGNED_SHORT = 5126, 5123
 ARRAY_BUFFER, POINTS = 34962, 0

@@ -22,7 +22,7 @@ from gof.core.files import atomic_path
 from gof.core.gaussians import TransientGaussians
 from gof.core.harmonics import C0
 from gof.core.morton import morton_order
-from gof.io.gltf import Y_UP
+from gof.core.similarity import Y_UP
 
 SUFFIX = ".tsog"
 VERSION, PROFILE = 4, {"id": "org.opsiclear.tsog-playback", "version": 1}

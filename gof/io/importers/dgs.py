@@ -9,6 +9,7 @@ import numpy as np
 from gof.core.errors import DataFormatError
 from gof.core.gaussians import TransientGaussians
 from gof.core.harmonics import C0
+from gof.core.similarity import Y_UP
 from gof.io import dgs as d
 from gof.io.importers.source import Imported, ImportOptions, Source
 
@@ -89,4 +90,4 @@ def _gaussians(
             else np.concatenate([colour[:, None], rest.reshape(len(w), -1, 3)], 1),
             dynamic=~always | velocity.any(1),
         )
-    return g.transformed(np.linalg.inv(d.Y_UP))
+    return g.transformed(np.linalg.inv(Y_UP))

@@ -17,6 +17,7 @@ from gof.core.datum import Datum
 from gof.core.errors import DataFormatError, GofError
 from gof.core.gaussians import TransientGaussians
 from gof.core.harmonics import C0
+from gof.core.similarity import Y_UP
 from gof.io import tsog as t
 from gof.io.importers.source import Imported, ImportOptions, Source
 
@@ -85,7 +86,7 @@ def _gaussians(
     )
     if flags is not None:
         g = replace(g, velocity=np.where(g.dynamic[:, None], g.velocity, 0))
-    g = g.transformed(np.linalg.inv(t.Y_UP))
+    g = g.transformed(np.linalg.inv(Y_UP))
     return replace(g, datum=Datum.from_numbers(own["datum"], "its metadata")) if "datum" in own else g, notes
 
 
