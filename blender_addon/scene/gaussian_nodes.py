@@ -67,27 +67,39 @@ def node_group() -> bpy.types.NodeTree:
         whole = names <= set(compat.input_sockets(tree))  # somebody may have taken inputs away
         if tree.get("gof_layout") == LAYOUT and tree.library is None and whole:
             return tree
-    tree = bpy.data.node_groups.new(NAME, "GeometryNodeTree")
+    tree = new_group(NAME, tuple(names))
     tree["gof_layout"] = LAYOUT
-    if hasattr(tree, "is_modifier"):
-        tree.is_modifier = True
-    compat.add_socket(tree, "Geometry", "NodeSocketGeometry")
-    for name, kind, default, least, largest, description in INPUTS:
-        socket = compat.add_socket(tree, name, kind)
-        socket.min_value, socket.max_value = least, largest
-        socket.default_value, socket.description = default, description
-    compat.add_socket(tree, "Geometry", "NodeSocketGeometry", output=True)
     _write(Nodes(tree))
     return tree
 
 
-def _write(nodes: Nodes) -> None:
-    given = nodes.add("NodeGroupInput").outputs
+def new_group(name: str, settings: tuple[str, ...]) -> bpy.types.NodeTree:
+    """Return a group for a modifier, without nodes, that has these of INPUTS."""
+    tree = bpy.data.node_groups.new(name, "GeometryNodeTree")
+    if hasattr(tree, "is_modifier"):
+        tree.is_modifier = True
+    compat.add_socket(tree, "Geometry", "NodeSocketGeometry")
+    for setting, kind, default, least, largest, description in INPUTS:
+        if setting in settings:
+            socket = compat.add_socket(tree, setting, kind)
+            socket.min_value, socket.max_value = least, largest
+            socket.default_value, socket.description = default, description
+    compat.add_socket(tree, "Geometry", "NodeSocketGeometry", output=True)
+    return tree
+
+
+def clock(nodes: Nodes, given) -> tuple[bpy.types.NodeSocket, bpy.types.NodeSocket]:
+    """Return the recording's time at the scene's frame, and a Gaussian's since its t_mu, in seconds."""
     frame = nodes.add("GeometryNodeInputSceneTime").outputs["Frame"]
     seconds = nodes.math("DIVIDE", nodes.math("SUBTRACT", frame, given["Start Frame"]), given["Frame Rate"])
     time = nodes.math("MULTIPLY", seconds, given["Time Scale"])
-    age = nodes.math("SUBTRACT", time, nodes.named("gs_t_mu", "FLOAT"))
-    alpha = _opacity(nodes, time, age)
+    return time, nodes.math("SUBTRACT", time, nodes.named("gs_t_mu", "FLOAT"))
+
+
+def _write(nodes: Nodes) -> None:
+    given = nodes.add("NodeGroupInput").outputs
+    time, age = clock(nodes, given)
+    alpha = opacity(nodes, time, age)
     radius = nodes.math("MULTIPLY", _mean_scale(nodes), EXTENT)
     visible = nodes.math("GREATER_THAN", given["Share"], _number_of_its_own(nodes))
     opaque = nodes.math("SUBTRACT", 1.0, nodes.math("LESS_THAN", alpha, given["Opacity Cut"]))
@@ -124,7 +136,8 @@ def _write(nodes: Nodes) -> None:
     )
 
 
-def _opacity(nodes: Nodes, time, age) -> bpy.types.NodeSocket:
+def opacity(nodes: Nodes, time, age) -> bpy.types.NodeSocket:
+    """Return a Gaussian's opacity now, from its attributes."""
     relative = nodes.math("MULTIPLY", age, nodes.named("gs_inverse_t_sigma", "FLOAT"))
     window = nodes.math("EXPONENT", nodes.math("MULTIPLY", nodes.math("MULTIPLY", relative, relative), -0.5))
     begin, end = nodes.named("gs_begin", "FLOAT"), nodes.named("gs_end", "FLOAT")

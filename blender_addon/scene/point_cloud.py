@@ -95,13 +95,21 @@ def add_view(mesh: bpy.types.Mesh, name: str) -> bpy.types.Object:
     thing = bpy.data.objects.new(name, mesh)
     scene.collection.objects.link(thing)
     thing.visible_shadow = False  # fire casts no shadow
-    modifier = thing.modifiers.new(gaussian_nodes.NAME, "NODES")
-    modifier.node_group = gaussian_nodes.node_group()
-    driver = thing.driver_add(inputs(thing).path("Frame Rate")).driver
+    add_modifier(thing, gaussian_nodes.NAME, gaussian_nodes.node_group())
+    return thing
+
+
+def add_modifier(thing: bpy.types.Object, name: str, group: bpy.types.NodeTree) -> CloudInputs:
+    """Give an object a node group of the scene's clock; returns its settings, whose Frame Rate follows the scene."""
+    scene = bpy.context.scene
+    modifier = thing.modifiers.new(name, "NODES")
+    modifier.node_group = group
+    settings = CloudInputs(thing, modifier)
+    driver = thing.driver_add(settings.path("Frame Rate")).driver
     compat.scene_variable(driver, "fps", "render.fps", scene)
     compat.scene_variable(driver, "base", "render.fps_base", scene)
     driver.expression = "fps / base"  # a simple expression: runs even where Python in files is not allowed
-    return thing
+    return settings
 
 
 def stand_on(thing: bpy.types.Object, cloud: GaussianCloud, spot: Vector) -> None:

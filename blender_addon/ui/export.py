@@ -199,11 +199,11 @@ def _with_progress(recording: Recording) -> Iterator[tuple[int, float]]:
 
 
 # ----------------------------------------------------------------
-# The active cloud at the current frame as Blender's own Gaussian splats, where the version has them.
+# The active cloud as Blender's own Gaussian splats, where the version has them.
 
 
 class GOF_OT_native_splats(bpy.types.Operator):
-    """Add what the selected reconstruction shows at this frame as Blender's own Gaussian splats; they stand still"""
+    """Add the selected reconstruction as Blender's own Gaussian splats, which move and need no add-on"""
 
     bl_idname = "gof.native_splats"
     bl_label = "As Blender's Splats"
@@ -214,16 +214,15 @@ class GOF_OT_native_splats(bpy.types.Operator):
         return compat.splat_type() is not None and point_cloud.inputs(context.object) is not None
 
     def execute(self, context):
-        scene, thing = context.scene, context.object
+        thing = context.object
         try:
-            recording = Recording.of(scene, thing)
-            now = points.at(recording.cloud, recording.time_s(scene.frame_current_final), recording.least)
-            copy = native_splats.add(now, f"{thing.name} {scene.frame_current}")
+            cloud = Recording.of(context.scene, thing).cloud
+            copy = native_splats.add(cloud, f"{thing.name} Splats", point_cloud.inputs(thing))
         except (GofError, OSError, RuntimeError, TypeError, MemoryError) as error:
             self.report({"ERROR"}, str(error) or "not enough memory")
             return {"CANCELLED"}
         copy.matrix_world = thing.matrix_world
-        self.report({"INFO"}, f"{len(now):,} splats of frame {np.round(scene.frame_current_final, 2):g}")
+        self.report({"INFO"}, f"{len(cloud):,} splats")
         return {"FINISHED"}
 
 

@@ -30,20 +30,33 @@ scene.render.fps = 100
 bpy.ops.gof.import_result(filepath=folder + "/result.npz", start_frame=0, fit="keep")
 thing = bpy.context.object
 thing.location = (1, 2, 3)
-scene.frame_set(30)
 result["answer"] = list(bpy.ops.gof.native_splats())
-splats = next(other for other in bpy.data.objects if other.type == "POINTCLOUD")
-result["type"] = splats.data.type
-result["at"] = list(splats.matrix_world.translation)
-for name, field, width in (
-    ("position", "vector", 3), ("scale", "vector", 3), ("rotation", "value", 4), ("radiance:base", None, 4)
-):
-    data = splats.data.attributes[name].data
-    values = np.zeros(len(data) * width, np.float32)
-    data.foreach_get(field or ("vector" if "vector" in data[0].bl_rna.properties else "value"), values)
-    result[name] = values.reshape(-1, width).tolist()
+
+
+def look(scene, frame):
+    # what the modifier makes of the splats at a frame
+    scene.frame_set(frame)
+    thing = next(other for other in scene.objects if other.type == "POINTCLOUD")
+    there = thing.evaluated_get(bpy.context.evaluated_depsgraph_get())
+    found = {"type": there.data.type, "at": list(there.matrix_world.translation)}
+    for name, field, width in (
+        ("position", "vector", 3), ("scale", "vector", 3), ("rotation", "value", 4), ("radiance:base", "color", 4),
+        ("velocity", "vector", 3)
+    ):
+        data = there.data.attributes[name].data
+        values = np.zeros(len(data) * width, np.float32)
+        data.foreach_get(field, values)
+        found[name] = values.reshape(-1, width).tolist()
+    return found
+
+
+result["looks"] = {frame: look(scene, frame) for frame in (30, 65)}
 bpy.ops.gof.add_fire()
 bpy.ops.wm.save_as_mainfile(filepath=folder + "/flame.blend")
+gof_blender.unregister()
+bpy.ops.wm.open_mainfile(filepath=folder + "/flame.blend")
+result["alone"] = look(bpy.context.scene, 65)
+gof_blender.register()
 bpy.ops.wm.read_factory_settings(use_empty=True)
 with bpy.data.libraries.load(folder + "/flame.blend", link=True) as (there, here):
     here.objects = ["result"]
@@ -72,19 +85,26 @@ def found(tmp_path_factory) -> dict:
 
 
 @pytest.mark.blender
-def test_splats_of_blender_5_3_are_what_is_seen_at_the_frame(found):
-    """x0 + (t - t_mu) v and opacity exp(-0.5 ((t - t_mu) / t_sigma)^2) at 0.3 s, of what is not fainter than 1/255."""
+@pytest.mark.parametrize("frame", [30, 65, None])
+def test_splats_of_blender_5_3_move(found, frame):
+    """x0 + (t - t_mu) v and opacity exp(-0.5 ((t - t_mu) / t_sigma)^2) of what is not fainter than 1/255.
+
+    Without a frame: of the saved file, opened without the add-on.
+    """
+    look, time_s = (found["looks"][str(frame)], frame / 100) if frame else (found["alone"], 0.65)
     g = found["truth"]
-    age = np.where(g.dynamic, 0.3 - g.t_mu, 0.0)
+    age = np.where(g.dynamic, time_s - g.t_mu, 0.0)
     opacity = g.opacity * np.exp(-0.5 * (age / g.t_sigma) ** 2)
     seen = opacity >= 1 / 255
-    assert found["answer"] == ["FINISHED"] and found["type"] == "GAUSSIAN_SPLAT" and found["at"] == [1, 2, 3]
-    np.testing.assert_allclose(found["position"], (g.position + age[:, None] * g.velocity)[seen], atol=1e-5)
-    np.testing.assert_allclose(found["scale"], g.scale[seen], rtol=1e-5)
-    turned = np.array(found["rotation"])  # q and -q are the same rotation
+    assert found["answer"] == ["FINISHED"] and look["type"] == "GAUSSIAN_SPLAT" and look["at"] == [1, 2, 3]
+    assert 0 < seen.sum() < len(g)
+    np.testing.assert_allclose(look["position"], (g.position + age[:, None] * g.velocity)[seen], atol=1e-5)
+    np.testing.assert_allclose(look["velocity"], np.where(g.dynamic[:, None], g.velocity, 0)[seen], atol=1e-6)
+    np.testing.assert_allclose(look["scale"], g.scale[seen], rtol=1e-5)
+    turned = np.array(look["rotation"])  # q and -q are the same rotation
     turned *= np.sign((turned * g.rotation[seen]).sum(1, keepdims=True))
     np.testing.assert_allclose(turned, g.rotation[seen], atol=1e-6)
-    radiance = np.array(found["radiance:base"])
+    radiance = np.array(look["radiance:base"])
     np.testing.assert_allclose(radiance[:, 3], opacity[seen], rtol=1e-4)
     np.testing.assert_allclose(0.5 + 0.28209479 * radiance[:, :3], g.color[seen], atol=1e-5)
 

@@ -256,41 +256,47 @@ def test_points_without_blender(tmp_path, flame):
 
 @pytest.mark.blender
 def test_blenders_own_splats(folder, flame):
-    """Not offered where Blender has none. How its attributes are written is tried on a mesh: 4.5 has all of their
-    types but FLOAT4, for which a colour stands."""
+    """Not offered where Blender has none. How they are written and moved is tried on a mesh, whose points all have."""
     found = in_blender(
         WRITE
         + """
-from gof_blender.pure import points
 from gof_blender.scene import compat, native_splats
 from gof_blender.ui.export import Recording
 result["version"] = list(bpy.app.version)
 result["type"], result["poll"] = compat.splat_type(), bpy.ops.gof.native_splats.poll()
-recording = Recording.of(scene, thing)
-now = points.at(recording.cloud, recording.time_s(3), recording.least)
+cloud = Recording.of(scene, thing).cloud
 if compat.splat_type() is None:
     try:
-        native_splats.add(now, "splats")
+        native_splats.add(cloud, "splats", settings)
     except RuntimeError as error:
         result["error"] = str(error)
 mesh = bpy.data.meshes.new("stand-in")
-mesh.vertices.add(len(now))
-stand_in = {"FLOAT4": ("FLOAT_COLOR", "color")}
-kinds = [(name, value, *stand_in.get(kind, (kind, field))) for name, value, kind, field in native_splats.ATTRIBUTES]
-native_splats.write(mesh, now, kinds)
-result["names"] = [name for name, *_ in native_splats.ATTRIBUTES]
-result["place"] = [list(vertex.co) for vertex in mesh.vertices]
-result["turn"] = [list(item.value) for item in mesh.attributes["rotation"].data]
-result["base"] = [list(item.color) for item in mesh.attributes["radiance:base"].data]
+mesh.vertices.add(len(cloud))
+native_splats.write(mesh, cloud)
+other = bpy.data.objects.new("stand-in", mesh)
+scene.collection.objects.link(other)
+mine = point_cloud.add_modifier(other, native_splats.NAME, native_splats.node_group())
+for name in native_splats.SETTINGS[:-1]:
+    mine[name] = settings[name]
+scene.frame_set(3)
+there = other.evaluated_get(bpy.context.evaluated_depsgraph_get()).data
+result["place"] = [list(vertex.co) for vertex in there.vertices]
+result["turn"] = [list(item.value) for item in there.attributes["rotation"].data]
+result["base"] = [list(item.color) for item in there.attributes["radiance:base"].data]
+result["velocity"] = [list(item.vector) for item in there.attributes["velocity"].data]
 """,
         folder,
     )
     assert (found["type"] is None) == (found["version"] < [5, 3, 0])
     if found["type"] is None:
         assert not found["poll"] and "5.3" in found["error"]
-    assert found["names"] == ["position", "scale", "rotation", "radiance:base"]
-    seen, place, _ = truth(flame, FIRST)
+    seen, place, velocity = truth(flame, FIRST)
+    assert 0 < len(seen) < N
     np.testing.assert_allclose(found["place"], place - [1.0, 2.0, 3.0], atol=2e-6)
+    np.testing.assert_allclose(found["velocity"], velocity, atol=1e-6)
     turn = flame["rotation"][seen] / np.linalg.norm(flame["rotation"][seen], axis=1, keepdims=True)
     np.testing.assert_allclose(same_sign(found["turn"], turn), turn, atol=1e-6)
     np.testing.assert_allclose(0.5 + 0.28209479 * np.array(found["base"])[:, :3], flame["color"][seen], atol=1e-6)
+    age = np.where(flame["dynamic"], (FIRST - START) / RATE * TIME_SCALE - flame["t_mu"], 0.0)
+    fade = (flame["opacity"] * np.exp(-0.5 * (age / flame["t_sigma"]) ** 2))[seen]
+    np.testing.assert_allclose(np.array(found["base"])[:, 3], fade, rtol=1e-4)
