@@ -63,14 +63,11 @@ def _pairs(bounds: list[float], degree: int) -> list[tuple[float, float]]:
 def _gaussians(
     columns: dict[str, np.ndarray], bounds: list[float], start_s: float, clip_s: float
 ) -> TransientGaussians:
-    size, colour, rest = (
-        low + (high - low) * columns[name] / most if name in columns else None
-        for name, most, low, high in (
-            ("size", d.WORDS, *bounds[:2]),
-            ("colour", d.WORDS, *bounds[2:4]),
-            ("rest", d.BYTES, *bounds[4:]),
-        )
-    )
+    size = _between(columns["size"], d.WORDS, *bounds[:2])
+    colour = 0.5 + C0 * (base := _between(columns["colour"], d.WORDS, *bounds[2:4]))
+    if "rest" in columns:
+        rest = _between(columns["rest"], d.BYTES, *bounds[4:])
+        colour = np.concatenate([base[:, None], rest.reshape(len(rest), -1, 3)], 1)
     xyz = 2 * columns["turn"] / d.WORDS - 1
     w = np.sqrt(np.maximum(1 - (xyz**2).sum(1), 0))
     middle, width = columns["mean"][:, 3], columns["moves"][:, 3]
@@ -85,9 +82,11 @@ def _gaussians(
             scale=np.exp(size),
             rotation=np.column_stack([w, xyz]),
             opacity=columns["alpha"][:, 0] / d.BYTES,
-            color=0.5 + C0 * colour
-            if rest is None
-            else np.concatenate([colour[:, None], rest.reshape(len(w), -1, 3)], 1),
+            color=colour,
             dynamic=~always | velocity.any(1),
         )
     return g.transformed(np.linalg.inv(Y_UP))
+
+
+def _between(codes: np.ndarray, most: int, low: float, high: float) -> np.ndarray:
+    return low + (high - low) * codes / most

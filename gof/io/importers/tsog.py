@@ -118,7 +118,8 @@ class _Pictures:
     """Pictures of an archive, as the codes of their pixels."""
 
     def __init__(self, archive: zipfile.ZipFile, meta: dict[str, Any]):
-        self.archive, self.count, self.size = archive, meta["count"], None
+        self.archive, self.count = archive, meta["count"]
+        self.size: tuple[int, ...] | None = None  # of the pictures, once one is read
         if not isinstance(self.count, int) or not 0 < self.count <= t.SIDE**2:
             raise DataFormatError(f"announces {self.count!r:.40} Gaussians")
 
