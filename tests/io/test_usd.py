@@ -12,6 +12,7 @@ from gof.commands.convert import main
 from gof.core.errors import DataFormatError, MissingDependencyError, NonFiniteError
 from gof.core.harmonics import C0
 from gof.io import usd
+from gof.io.importers import read_result
 from tests.conftest import random_gaussians
 
 START_S, END_S, STEP_S = 0.1, 0.4, 0.05
@@ -137,6 +138,8 @@ def test_gof_convert_to_usd(tmp_path):
     assert not list(tmp_path.glob("*.usda")) and not list(tmp_path.glob(".*partial*"))
     assert main([*words, "--frame-time", "0.1", "--clip", "0", "0.4", "--json", str(tmp_path / "j")]) == 0
     assert any("5 frames" in note for note in json.loads((tmp_path / "j").read_text())["notes"])
+    with pytest.raises(DataFormatError, match="does not read"):
+        read_result(tmp_path / "a.usda")
     if importlib.util.find_spec("pxr") is None:
         with pytest.raises(MissingDependencyError, match="usd-core"):
             main([words[0], str(tmp_path / "a.usdc"), "--frame-time", "0.1", "--clip", "0", "0.4"])

@@ -40,6 +40,8 @@ def reason(source: Source) -> str | None:
         return f"a folder of Dynamic3DGaussians: {SAMPLED}"
     if path.is_file() and (kind := SPLATS.get(path.suffix.lower())):
         return f"{kind}, splats of one instant without velocity: {STILL}"
+    if path.is_file() and path.suffix.lower() in (".usd", ".usda", ".usdc"):
+        return "a USD, which gof writes and does not read; give the result it was made from, or a folder of PLYs"
     if path.is_file() and path.suffix == ".ply":
         if kind := name_kind(source.ply.vertex.dtype.names):
             return kind
