@@ -75,11 +75,16 @@ def _written(
 ) -> list[str]:
     """Return the file by its suffix; args and result as of `convert`."""
     gaussians = imported.gaussians
-    if not isinstance(gaussians, TransientGaussians) and out.suffix != ".npz":
-        raise DataFormatError(f"{out}: positions sampled in time have no closed form; write .npz (gof-trajectory/1)")
+    source = gof_files.converted(imported.method, imported.path)
+    if not isinstance(gaussians, TransientGaussians):
+        if out.suffix != ".npz":
+            raise DataFormatError(
+                f"{out}: positions sampled in time have no closed form; write .npz (gof-trajectory/1)"
+            )
+        gaussians.save(out, source)
+        return []
     if out.name.endswith(".ftgs.ply"):
         return _save_ftgs(gaussians, out, start_s, end_s, frame_time_s)
-    source = gof_files.converted(imported.method, imported.path)
     if out.suffix in MOVING:
         return _save_moving(gaussians, out, *_clip(gaussians, out, start_s, end_s), source)
     if out.suffix in INSTANT:
@@ -115,6 +120,7 @@ def _save_moving(gaussians: TransientGaussians, out: Path, start_s: float, end_s
     order = MOVING[out.suffix].save(gaussians, out, start_s, end_s, source)
     timeless = out.suffix == dgs.SUFFIX  # it says nothing of our clock, nor of a datum
     back = read_result(out, ImportOptions(time_zero_s=start_s if timeless else 0.0)).gaussians
+    assert isinstance(back, TransientGaussians)
     sizes = f"{out.stat().st_size:,} bytes, {out.stat().st_size / len(gaussians):.1f} a Gaussian"
     clock = f"its clock begins at {start_s:g} s and lasts {end_s - start_s:g} s"
     return [

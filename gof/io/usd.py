@@ -9,7 +9,7 @@ which the schema has no names for, stands beside in primvars.
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
 from typing import IO
 
@@ -87,11 +87,16 @@ def save(
 def _write_text(out: IO[str], g: TransientGaussians, times: np.ndarray, step_s: float, source: str) -> None:
     sh = (g.color[:, None] - 0.5) / C0 if g.color.ndim == 2 else g.color
     always = ~(g.dynamic & np.isfinite(g.t_sigma))
-    ends = {0: times[0], len(times) - 1: times[-1]}
-    facts = {"count": len(g), "start_s": float(times[0]), "step_s": float(step_s), "rate": float(1 / step_s)}
+    ends = sorted({0, len(times) - 1})
+    facts: dict[str, object] = {
+        "count": len(g),
+        "start_s": float(times[0]),
+        "step_s": float(step_s),
+        "rate": float(1 / step_s),
+    }
     facts |= {"degree": round(sh.shape[1] ** 0.5) - 1, "last": len(times) - 1, "source": json.dumps(source)}
     out.write(HEAD.format(**facts))
-    _write(out, "point3f[] positions", {k: g.at(time_s)[0] for k, time_s in ends.items()})
+    _write(out, "point3f[] positions", ((k, g.at(times[k])[0]) for k in ends))
     _write(out, "float[] opacities", ((k, _opacity(g, time_s)) for k, time_s in enumerate(times)))
     _write(out, "float3[] extent", ((k, _box(g, time_s)) for k, time_s in enumerate(times)))
     _write(out, "float3[] scales", g.scale)
@@ -121,7 +126,7 @@ def _box(g: TransientGaussians, time_s: float) -> np.ndarray:
     return np.stack([(position[seen] - half).min(0), (position[seen] + half).max(0)])
 
 
-def _write(out: IO[str], name: str, values: np.ndarray | Mapping[int, np.ndarray] | Iterable) -> None:
+def _write(out: IO[str], name: str, values: np.ndarray | Iterable[tuple[int, np.ndarray]]) -> None:
     """Write an attribute: an array that holds at all times, or arrays by frame."""
     primvar = ' (\n        interpolation = "vertex"\n    )' if "primvars:" in name else ""
     if isinstance(values, np.ndarray):
@@ -130,7 +135,7 @@ def _write(out: IO[str], name: str, values: np.ndarray | Mapping[int, np.ndarray
         out.write(f"]{primvar}\n")
         return
     out.write(f"    {name}.timeSamples = {{\n")
-    for frame, array in values.items() if isinstance(values, Mapping) else values:
+    for frame, array in values:
         out.write(f"        {frame}: [")
         out.writelines(_tuples(name, array))
         out.write("],\n")
