@@ -215,7 +215,6 @@ ASKED = {
     "transformers": ("gof/ingest/depth.py",),
     "memfof": ("gof/reconstruct/optical_flow.py",),
     "pyserial": ("gof/capture/controller.py",),
-    "msvcrt": ("gof/core/files.py",),
     **dict.fromkeys(("numba", "llvmlite"), tuple(f"gof/render/native/{p.name}" for p in NATIVE.glob("*.py"))),
 }
 

@@ -7,6 +7,7 @@ import csv
 import io
 from collections.abc import Iterator
 from dataclasses import dataclass
+from itertools import chain
 from pathlib import Path
 from typing import Literal
 
@@ -112,14 +113,12 @@ def _chosen(video: Path, wanted: np.ndarray) -> Iterator[np.ndarray]:
 def _write_video(path: Path, frames: Iterator[np.ndarray], fps: float, codec: Codec) -> None:
     import cv2
 
-    fourcc = cv2.VideoWriter_fourcc(*CODECS[codec][0])
-    writer = None
+    fourcc, first = cv2.VideoWriter.fourcc(*CODECS[codec][0]), next(frames)
     with atomic_path(path) as temporary:
-        for frame in frames:
-            if writer is None:
-                writer = cv2.VideoWriter(str(temporary), fourcc, fps, frame.shape[1::-1])
-                if not writer.isOpened():
-                    raise DataFormatError(f"{path}: OpenCV cannot write {codec} video here")
+        writer = cv2.VideoWriter(str(temporary), fourcc, fps, first.shape[1::-1])
+        if not writer.isOpened():
+            raise DataFormatError(f"{path}: OpenCV cannot write {codec} video here")
+        for frame in chain([first], frames):
             writer.write(cv2.cvtColor(frame, cv2.COLOR_RGB2BGR))
         writer.release()
 

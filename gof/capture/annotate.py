@@ -7,6 +7,7 @@ from dataclasses import replace
 from itertools import islice
 from pathlib import Path
 from types import MappingProxyType
+from typing import get_args
 
 import numpy as np
 
@@ -22,7 +23,7 @@ from gof.footage.videos import stored_frames
 
 LOOK_AT = 160  # frames in which the board is looked for
 MUCH_COVERED, MOST_COVERED = 0.25, 0.6  # of the picture; the published clips have 0.08 to 0.15
-TURNS: dict[int, Turn] = {roll: turn for turn, roll in ROLL_DEG.items()}
+TURNS: dict[int, Turn] = {ROLL_DEG[turn]: turn for turn in get_args(Turn)}
 
 
 def annotate(
@@ -93,7 +94,7 @@ def training_frames(dataset: Dataset) -> dict[str, Iterable[np.ndarray]]:
 
 
 def _pictures(dataset: Dataset, camera: int) -> Iterable[np.ndarray]:
-    return (np.uint8(np.rint(255 * dataset.image(camera, k))) for k in dataset.train_frames[:LOOK_AT])
+    return (np.rint(255 * dataset.image(camera, k)).astype(np.uint8) for k in dataset.train_frames[:LOOK_AT])
 
 
 def find_mask(pictures: Iterable[np.ndarray], template: BoardTemplate, points: BoardPoints | None = None) -> np.ndarray:
@@ -165,7 +166,7 @@ def board_mask(
     # The strips are mounted off the marker's plane: take them from where they were found.
     strips = cv2.convexHull(board.strip.reshape(-1, 2).astype(np.float32))[:, 0]
     for polygon in (outline, strips):
-        cv2.fillPoly(covered, [np.round(polygon - 0.5).astype(np.int32)], 255)
+        cv2.fillPoly(covered, [np.round(polygon - 0.5).astype(np.int32)], (255,))
     side = float(np.linalg.norm(board.corners[0] - board.corners[1]))
     distance = cv2.distanceTransform(255 - covered, cv2.DIST_L2, 5)
     return np.clip(1 - (distance - margin * side) / (feather * side), 0, 1).astype(np.float32)

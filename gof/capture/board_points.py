@@ -41,7 +41,7 @@ class BoardPoints:
         if H is None or not np.isfinite(H).all() or np.linalg.cond(H) > 1e12:
             raise DataFormatError("the points marked on the board lie on one line; mark one beside it")
         seen = cv2.perspectiveTransform(self.xy.reshape(1, -1, 2), H)[0]
-        side = np.sqrt(cv2.contourArea(cv2.perspectiveTransform(np.float32([CORNERS]), H)))
+        side = np.sqrt(cv2.contourArea(cv2.perspectiveTransform(np.array([CORNERS], np.float32), H)))
         off = np.linalg.norm(seen - self.pixels, axis=1)
         if not off.max() <= max(5.0, MOST_MISS * side):
             raise DataFormatError(

@@ -79,7 +79,7 @@ def synchronise_without_board(videos: list[Path], rates: Sequence[float | None])
 
 def _own_times(info: VideoInfo, rate: float | None) -> np.ndarray:
     """Return (N,) s of the film's frames on its own clock, on which its sound lies too."""
-    if rate is not None:
+    if rate is not None and info.frames is not None:
         return np.arange(info.frames) / rate
     if info.stamps_s is None:
         raise GofError(f"{info.path}: pictures have neither sound nor time stamps; say their rate with --fps")

@@ -172,14 +172,16 @@ def _find_corners(
     layout."""
     layouts = (False, True) if target.has_old_layout else (False,)
     found: dict[bool, list[_View]] = {old: [] for old in layouts}
-    size, seen, few = None, 0, []
+    size, seen = (0, 0), 0
+    few: list[np.ndarray] = []
     for seen, grey in enumerate(pictures, 1):
-        if size not in (None, grey.shape[::-1]):
+        height, width = grey.shape
+        if seen > 1 and (width, height) != size:
             raise GofError(
-                f"picture {seen} is {grey.shape[::-1]}, the ones before {size} pixels; calibrate one camera mode at a "
+                f"picture {seen} is {(width, height)}, the ones before {size} pixels; calibrate one camera mode at a "
                 "time"
             )
-        size = grey.shape[::-1]
+        size = (width, height)
         for old in layouts:
             if corners := target.corners(grey, old):
                 found[old].append(_View(*corners))
@@ -203,7 +205,7 @@ def _fit(views: list[_View], size: tuple[int, int]) -> _Fit:
 
     for _ in range(3):
         rms, K, distortion, turns, _, sigma, _, per_view = cv2.calibrateCameraExtended(
-            [v.target for v in views], [v.pixels for v in views], size, None, None
+            [v.target for v in views], [v.pixels for v in views], size, np.eye(3), np.zeros(5)
         )
         fit = _Fit(K, distortion.ravel(), np.squeeze(turns, 2), sigma.ravel()[:2], float(rms), views)
         good = per_view.ravel() <= BAD_VIEW * np.median(per_view)

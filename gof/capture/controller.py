@@ -261,8 +261,9 @@ def _explain_open(port: str, error: Exception) -> str:
 
 
 def _explain_refusal(status: int) -> str:
-    return {
+    known: dict[int, str] = {
         ReplyStatus.UNKNOWN: "it does not know this command; flash this version's firmware (docs/capture_board.md)",
         ReplyStatus.BAD_ARGUMENT: "a value is outside its range",
         ReplyStatus.WRONG_STATE: "not possible in its present state; 'gof capture board stop' first",
-    }.get(status, f"status {status}")
+    }
+    return known.get(status, f"status {status}")

@@ -51,8 +51,7 @@ class Summary:
     """Per-pixel minimum, maximum and a mid picture of the first frames, in one pass and three images of memory."""
 
     def __init__(self) -> None:
-        self.low: np.ndarray | None = None
-        self.high: np.ndarray | None = None
+        self.low = self.high = np.empty((0, 0), np.uint8)
         self.pictures: list[np.ndarray] = []  # a few grey frames to look for the marker in
         self.count = 0
 
@@ -64,7 +63,7 @@ class Summary:
         import cv2
 
         w = white(frame)
-        if self.low is None:
+        if self.count == 0:
             self.low, self.high = w.copy(), w.copy()
         elif w.shape != self.low.shape:
             raise BoardNotFound(f"frame {self.count} is {w.shape[::-1]}, the ones before {self.low.shape[::-1]} pixels")
@@ -92,7 +91,7 @@ def locate(
     """
     import cv2
 
-    if summary.low is None:
+    if summary.count == 0:
         raise BoardNotFound("no frames")
     height, width = summary.low.shape
     if points is None:
@@ -385,5 +384,6 @@ def sample(image: np.ndarray, points: np.ndarray) -> np.ndarray:
     rows = -(-len(flat) // columns)
     maps = np.zeros((2, rows * columns), np.float32)
     maps[:, : len(flat)] = flat.T
-    values = cv2.remap(image, *maps.reshape(2, rows, columns), cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+    x, y = maps.reshape(2, rows, columns)
+    values = cv2.remap(image, x, y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
     return values.reshape(-1)[: len(flat)].reshape(np.shape(points)[:-1]).astype(np.float32)

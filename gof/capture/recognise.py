@@ -110,13 +110,14 @@ def recognise(choice: str, footage: Mapping[str, Iterable[np.ndarray]], rings: b
 
 def _compare(frames: Iterable[np.ndarray], boards: list[Board]) -> dict[str, _Likeness]:
     """Return one camera's footage with every board whose marker it shows, by the board's name."""
-    summary, pictures = Summary(), []
+    summary = Summary()
+    pictures: list[np.ndarray] = []
     for count, frame in enumerate(islice(frames, LOOK_AT)):
         summary.add(frame)
         if count % (LOOK_AT // RING_FRAMES) == 0 or len(pictures) < 2:
             pictures.append(frame)
     found: dict[str, _Likeness] = {}
-    if summary.low is None:
+    if summary.count == 0:
         return found
     markers: dict[tuple[int, bool], np.ndarray | None] = {}
     for board in boards:

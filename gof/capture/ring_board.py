@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from importlib.resources import files
 from pathlib import Path
 from typing import ClassVar
 
@@ -127,11 +126,13 @@ class RingBoard:
         Raises:
             DataFormatError: no such file, or a field is missing or malformed.
         """
-        path = files("gof.capture") / f"{name}.json" if str(name) in RING_BOARDS else Path(name)
+        path = Path(__file__).with_name(f"{name}.json") if str(name) in RING_BOARDS else Path(name)
         file = read_record(RingBoardFile, path)
+        side_m = file.marker.side_m
+        assert side_m is not None, "RingBoardFile refuses markers without a size"
 
         def places(xy):
-            return (np.asarray(xy, np.float64) - file.marker_corner) / (1000 * file.marker.side_m)
+            return (np.asarray(xy, np.float64) - file.marker_corner) / (1000 * side_m)
 
         ring, counter = file.ring, file.counter
         angle = 2 * np.pi * np.arange(ring.count) / ring.count * (1 if ring.clockwise else -1)
@@ -142,7 +143,7 @@ class RingBoard:
             name=file.name,
             marker_id=file.marker.id,
             inverted=file.marker.inverted,
-            marker_side_m=file.marker.side_m,
+            marker_side_m=side_m,
             led_xy=places(ring.centre + spoke),
             led_dark=places(ring.centre + DARK_RING * spoke),
             counter_xy=places(row),

@@ -242,16 +242,17 @@ def _fit(
         the arc, (T,) fused times, (T,) each frame's own, (T,) the own times' standard errors (us), the ring as it was
         used, and the standard error of all times together (us).
     """
-    both = (0, 1)
-    axes = both if options.readout is None else ((0,) if options.readout in ("left", "right") else (1,))
-    given = options.row_time_us is not None and options.readout is not None
-    if given:
+    axes: tuple[int, ...] = (0, 1)
+    if options.readout is not None:
+        axes = (0,) if options.readout in ("left", "right") else (1,)
+    given_us = None if options.readout is None else options.row_time_us
+    if given_us is not None:
         sign = 1 if options.readout in ("right", "down") else -1
-        arc = _Arc(arc.half, arc.ramp, sign * options.row_time_us * np.eye(2)[axes[0]])
+        arc = _Arc(arc.half, arc.ramp, sign * given_us * np.eye(2)[axes[0]])
         axes = ()
     for round_ in range(ROUNDS):
         arc, time, error = _fit_shared(ring, arc, time, index, axes)
-        if round_ == 0 and not given:  # lines are read along one axis
+        if round_ == 0 and given_us is None:  # lines are read along one axis
             strength = np.abs(arc.delay) / np.maximum(error[:2], 1e-9)
             axis = int(strength.argmax())
             across = abs(arc.delay[axis]) * float(np.ptp(ring.place[ring.usable], axis=0)[axis])

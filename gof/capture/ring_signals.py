@@ -4,7 +4,7 @@ every frame."""
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -50,10 +50,8 @@ class RingSignals:
         """Return those of the chosen frames (T,) bool. After a gap nothing counts as repeated."""
         kept = np.flatnonzero(frames)
         duplicate = self.duplicate[kept] & np.concatenate([[False], np.diff(kept) == 1])
-        each = (self.led, self.led_px, self.led_inside, self.counter, self.counter_px, self.counter_inside)
-        return RingSignals(
-            self.seen[kept], *(values[kept] for values in each), duplicate, self.image_size, self.marker_px
-        )
+        names = ("seen", "led", "led_px", "led_inside", "counter", "counter_px", "counter_inside")
+        return replace(self, duplicate=duplicate, **{name: getattr(self, name)[kept] for name in names})
 
 
 def read_ring_signals(video: Path, board: RingBoard, progress: Callable[[int], None] | None = None) -> RingSignals:
@@ -61,7 +59,7 @@ def read_ring_signals(video: Path, board: RingBoard, progress: Callable[[int], N
     found, homography, size = [], None, (0, 0)
     for count, frame in enumerate(stored_frames(video), 1):
         red = np.ascontiguousarray(frame[..., 0]) if frame.ndim == 3 else frame
-        size = red.shape[1::-1]
+        size = (red.shape[1], red.shape[0])
         homography = find_board(frame, red, board, homography)
         found.append(None if homography is None else read_frame(red, board, homography))
         if progress and count % 16 == 0:

@@ -77,10 +77,9 @@ def find_lag(known: np.ndarray, other: np.ndarray, rate: float) -> SoundLag:
             before, at, after = found[window[k - 1 : k + 2]]
             own.append((lags[peak] - 2 * near + k + 0.5 * (before - after) / (before - 2 * at + after)) / rate)
             middles.append((start + length / 2) / rate)
-    middles, own = np.array(middles), np.array(own)
     if len(own) < max(LEAST_HEARD * count, 1):
         raise NoSoundClock(f"only {len(own)} of {count} stretches of their sounds agree")
-    return _line(middles, own, count)
+    return _line(np.array(middles), np.array(own), count)
 
 
 def _line(middles: np.ndarray, own: np.ndarray, count: int) -> SoundLag:

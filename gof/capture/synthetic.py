@@ -79,7 +79,7 @@ class SyntheticShot:
         return self.start + index * 1e6 / self.fps + (jitter[index] if self.clock_noise else 0.0)
 
 
-def lit_share(start: np.ndarray, exposure: float, on: np.ndarray, length: float, cycle: float) -> np.ndarray:
+def lit_share(start: np.ndarray, exposure: float, on: float, length: float, cycle: float) -> np.ndarray:
     """Return share of the exposure [start, start + exposure] in which something is lit that is lit from `on` for
     `length` in every `cycle`. Exact for any lengths."""
 
@@ -130,10 +130,12 @@ def render(shot: SyntheticShot, template: BoardTemplate, frames: int) -> Iterato
         frame = picture.copy()
         for k, (mask, box) in enumerate(lights):
             if k < SLOTS:
-                share = sum(
-                    lit_share(start, shot.exposure, s * shot.period / SLOTS, shot.period / SLOTS, shot.period)
+                slot = shot.period / SLOTS
+                lit = [
+                    lit_share(start, shot.exposure, s * shot.period / SLOTS, slot, shot.period)
                     for s in group[int(template.strip_slot[k])]
-                )
+                ]
+                share = np.sum(lit, axis=0)
             else:
                 share = _led_share(start, shot, int(template.led_bit[k - SLOTS]), template.disambiguation_lead)
             y, x = box
@@ -189,7 +191,7 @@ def write_video(path: Path, pictures: Iterator[np.ndarray], codec: str = "mp4v")
     writer = None
     for picture in pictures:
         if writer is None:
-            writer = cv2.VideoWriter(str(path), cv2.VideoWriter_fourcc(*codec), 30, picture.shape[1::-1])
+            writer = cv2.VideoWriter(str(path), cv2.VideoWriter.fourcc(*codec), 30, picture.shape[1::-1])
             if not writer.isOpened():
                 raise OSError(f"{path}: OpenCV cannot write codec {codec}")
         writer.write(picture[..., ::-1] if picture.ndim == 3 else cv2.cvtColor(picture, cv2.COLOR_GRAY2BGR))

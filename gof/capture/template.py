@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass
-from importlib.resources import files
 from pathlib import Path
 from typing import ClassVar
 from xml.sax.saxutils import escape
@@ -140,7 +139,7 @@ class BoardTemplate:
         Raises:
             DataFormatError: no such file, or a field is missing or malformed.
         """
-        path = files("gof.capture") / f"{name}.json" if str(name) in BUILT_IN else Path(name)
+        path = Path(__file__).with_name(f"{name}.json") if str(name) in BUILT_IN else Path(name)
         file = read_record(TemplateFile, path)
         return cls(
             name=file.name,

@@ -56,7 +56,7 @@ def main(argv: list[str]) -> int:
             f"{config.dataset}: no picture shows a known LED board; they may be too small: give the --footage"
         )
     template = require_strips(board, "a mask")
-    if config.board_points is not None:
+    if config.board_points is not None and config.footage:
         names = distinct_names(config.footage)
         marked = read_board_points(config.board_points, template, names)
         points = {names.index(name): found for name, found in marked.items()}

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated, ClassVar, Literal, get_args
@@ -149,7 +149,8 @@ def sync_without_board(
             anchor="no-camera-could-be-decoded",
         ) from e
     write_record(folder / FILE, result)
-    used = {"sound": "the films' sound", "flame": "the flames' light"}[result.cameras[0].times.clock]
+    clock = next(camera.times.clock for camera in result.cameras if camera.times)
+    used = {"sound": "the films' sound", "flame": "the flames' light"}[clock]
     print(f"board: none is seen; clocks by {used}, {names[0]}'s is the common one")
     for camera in result.cameras:
         print(describe(camera))
@@ -206,17 +207,17 @@ def layout_and_codec(asked: str | None) -> tuple[Layout, Codec] | None:
     layouts, codecs = get_args(Layout), get_args(Codec)
     if layout not in layouts or codec not in ("", *codecs):
         raise GofError(f"--write-videos {asked}: give {', '.join(layouts)}, and behind a colon {' or '.join(codecs)}")
-    return layout, codec or "lossless"
+    return layouts[layouts.index(layout)], codecs[codecs.index(codec or "lossless")]
 
 
 def options(config: SyncConfig, row_time_us: float | None) -> list[DecodeOptions]:
     """Return one per video. Raises GofError: another number of rates than videos."""
     count = len(config.videos)
-    rates = config.fps or [None]
+    rates: Sequence[float | None] = config.fps or [None]
     if len(rates) not in (1, count):
         raise GofError(f"--fps: give one rate or one per video ({count}), got {len(rates)}")
     common = DecodeOptions(10 * config.tick_us, None, row_time_us, config.readout, config.clock)
-    return [replace(common, fps=rate) for rate in (rates * count if len(rates) == 1 else rates)]
+    return [replace(common, fps=rate) for rate in (rates if len(rates) > 1 else [rates[0]] * count)]
 
 
 def without_frames(camera: SyncedVideo) -> SyncedVideo:

@@ -48,7 +48,7 @@ def leaves() -> dict[str, str]:
     """Return every command, and every part of one, that takes options: its words after `gof`, and its module."""
     from gof.commands.cli import commands
 
-    found = {}
+    found: dict[str, str] = {}
     for name, command in commands().items():
         if command.foreign:
             continue

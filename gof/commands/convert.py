@@ -89,11 +89,10 @@ def main(argv: list[str]) -> int:
         return _write_down(config)
     options, _ = with_said(config.result, config.foreign())
     imported = read_result(config.result, options)
-    if config.align is not None:
+    if config.align is not None and config.dataset is not None:
         imported = _moved(imported, config.align, Dataset.open(config.dataset))
-    made = convert(
-        imported, config.out, *(config.clip or (None, None)), options.frame_time_s, config.time, may_overwrite()
-    )
+    first, last = config.clip or (None, None)
+    made = convert(imported, config.out, first, last, options.frame_time_s, config.time, may_overwrite())
     seconds = time.perf_counter() - began
     count = len(imported.gaussians)
     out = console()
@@ -130,5 +129,5 @@ def _write_down(config: ConvertConfig) -> int:
 def _moved(imported: Imported, cameras: Path, dataset: Dataset) -> Imported:
     """Return a result in the dataset's world."""
     found = align_cameras(read_cameras(cameras), {c.name: c.world_to_camera for c in dataset.cameras})
-    moved, notes = imported.gaussians.transformed(found.matrix), (*imported.notes, found.in_words(cameras))
+    moved, notes = imported.gaussians.transformed(found.matrix), [*imported.notes, found.in_words(cameras)]
     return replace(imported, gaussians=moved, notes=notes)

@@ -54,7 +54,8 @@ def config_of(module: str) -> type:
     found = [
         kind
         for name, kind in vars(importlib.import_module(module)).items()
-        if name.endswith(SUFFIXES) and dataclasses.is_dataclass(kind) and kind.__module__ == module
+        if name.endswith(SUFFIXES) and isinstance(kind, type) and dataclasses.is_dataclass(kind)
+        if kind.__module__ == module
     ]
     if len(found) != 1:
         raise ValueError(f"{module}: {len(found)} classes named *Config or *Study, not one")
@@ -81,17 +82,21 @@ def texts_of(config: type) -> dict[str, str]:
     """Return the strings under the fields of a class, and of those that it is made from, as one line each."""
     found: dict[str, str] = {}
     for kind in reversed(config.__mro__[:-1]):
-        body = ast.parse(textwrap.dedent(inspect.getsource(kind))).body[0].body
-        for line, after in itertools.pairwise(body):
+        written = ast.parse(textwrap.dedent(inspect.getsource(kind))).body[0]
+        for line, after in itertools.pairwise(written.body if isinstance(written, ast.ClassDef) else ()):
             text = isinstance(after, ast.Expr) and isinstance(after.value, ast.Constant) and after.value.value
-            if isinstance(line, ast.AnnAssign) and isinstance(text, str):
+            if isinstance(line, ast.AnnAssign) and isinstance(line.target, ast.Name) and isinstance(text, str):
                 found[line.target.id] = " ".join(text.split())
     return found
 
 
 def _options(field: dataclasses.Field, hint: Any, texts: dict[str, str]) -> Iterator[Option]:
     kind, marks = _bare(hint)
-    if any(mark is tyro.conf.OmitArgPrefixes for mark in marks) and dataclasses.is_dataclass(kind):
+    if (
+        any(mark is tyro.conf.OmitArgPrefixes for mark in marks)
+        and isinstance(kind, type)
+        and dataclasses.is_dataclass(kind)
+    ):
         yield from options_of(kind)
         return
     positional = any(mark is tyro.conf.Positional for mark in marks)

@@ -126,7 +126,7 @@ def _files(config: EvaluateConfig) -> list[Path]:
     if config.out is None:
         return [_beside(config.result) if more is None else more]
     require_free(config.out / FILE)
-    return [config.out / FILE] if more in (None, config.out / FILE) else [config.out / FILE, more]
+    return [config.out / FILE] if more is None or more == config.out / FILE else [config.out / FILE, more]
 
 
 def _beside(result: Path) -> Path:
@@ -152,7 +152,7 @@ def _depth_maps(published: str | None, dataset: Dataset, out: Path) -> tuple[Pat
     Raises:
         GofError: the folder holds no maps; with "make", see `write_frame_depths`.
     """
-    if published in (None, "none"):
+    if published is None or published == "none":
         return None, None
     if published == "make":
         folder = out / MAPS

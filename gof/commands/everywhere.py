@@ -54,7 +54,8 @@ def split(argv: list[str]) -> tuple[list[str], Everywhere]:
                 raise GofError("--json: name the file to write the figures to")
             given = replace(given, json=Path(file))
         elif word in ("--quiet", "--verbose", "--overwrite"):
-            given = replace(given, **{word[2:]: True})
+            switch: dict[str, Any] = {word[2:]: True}
+            given = replace(given, **switch)
         else:
             rest.append(word)
     return rest, given

@@ -117,12 +117,13 @@ class IngestConfig:
     def plate_options(self) -> PlateOptions:
         """Return the plates' source by --plates. Raises GofError: a number of frames that is none."""
         kind, colon, frames = self.plates.partition(":")
-        if kind not in get_args(PlateKind):
+        kinds = get_args(PlateKind)
+        if kind not in kinds:
             return PlateOptions(folder=Path(self.plates))
         if colon and not frames.isdecimal():
             raise GofError(f"--plates {self.plates}: write a number of frames behind the colon, as {kind}:200")
         require_number("--plates", int(frames) if colon else None, least=1)
-        return PlateOptions(kind, None, int(frames) if colon else None)
+        return PlateOptions(kinds[kinds.index(kind)], None, int(frames) if colon else None)
 
 
 def read_times(words: tuple[str, ...]) -> tuple[Path | None, tuple[float, ...], bool]:

@@ -81,7 +81,7 @@ def _written_down(option: str) -> Gone:
     return Gone(f"is written down once, for every command: gof convert RESULT {option} writes RESULT.gof.json")
 
 
-FOREIGN = {
+FOREIGN: dict[str, Change] = {
     option: _written_down(f"{option} {value}".rstrip())
     for option, value in {
         "--time-unit": "SECONDS",
@@ -93,14 +93,14 @@ FOREIGN = {
         "--flame-only": "",
     }.items()
 }
-EFFORT = {"--iterations": New("--steps"), "--longest-side": New("--max-size")}
-BOARD = {"--template": New("--board")}
-CHARUCO = {
+EFFORT: dict[str, Change] = {"--iterations": New("--steps"), "--longest-side": New("--max-size")}
+BOARD: dict[str, Change] = {"--template": New("--board")}
+CHARUCO: dict[str, Change] = {
     "--marker-mm": New("--charuco-mm"),
     "--columns": Gone("is a part of --squares now: --squares 7x5"),
     "--rows": Gone("is a part of --squares now: --squares 7x5"),
 }
-WIDTH = {"--width": New("--width-in")}
+WIDTH: dict[str, Change] = {"--width": New("--width-in")}
 SIZES = {"--size": {"smoke": "preview", "paper": "full"}}
 
 TABLE: dict[str, Changes] = {

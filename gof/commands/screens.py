@@ -27,7 +27,7 @@ def of_command(config: type, command: str, whole: bool = False) -> str:
     Args:
         whole: with all options and everything that the docstring says.
     """
-    summary, more, examples = parts_of_docstring(inspect.getdoc(config))
+    summary, more, examples = parts_of_docstring(inspect.getdoc(config) or "")
     options = options_of(config)
     arguments = [option for option in options if option.positional]
     named = [option for option in options if not option.positional]

@@ -155,8 +155,10 @@ def main(argv: list[str]) -> int:
     stop = (span[0] + span[1]) / 2 if style.stop is None else style.stop
     if not span[0] <= stop <= span[1]:
         raise GofError(f"--style stop={stop:g}: the clip is from {span[0]:g} to {span[1]:g} s")
-    number = camera_number(style.camera, dataset, "--style camera")
-    journey = _journey(config, style, results, dataset, number, stop)
+    if dataset is None and style.camera is not None:
+        raise GofError(f"--style camera {style.camera}: cameras are a dataset's; add --dataset")
+    view = None if dataset is None else Recorded(dataset, camera_number(style.camera, dataset, "--style camera"))
+    journey = _journey(config, style, results, view, stop)
     mode, seconds = config.mode, style.seconds
     if out.suffix.lower() == STILL:
         mode, seconds = "freeze", 1 / config.fps
@@ -165,12 +167,11 @@ def main(argv: list[str]) -> int:
     if dataset is not None:
         film_shots = say_what_is_a_guess(film_shots, dataset.cameras)
     still = None if style.scene is None else _still_scene(Path(style.scene))
-    subjects, behind = _subjects(results, still, dataset, number, film_shots[0], config)
-    recorded = Recorded(dataset, number) if style.recorded else None
+    subjects, behind = _subjects(results, still, view, film_shots[0], config)
     look = FilmOptions(config.panels, config.fps, style.reduced, style.keep_frames)
     with progress_bar("video") as progress:
         made_of = _made_of(style, results, dataset)
-        film = make_film(out, subjects, film_shots, look, made_of, recorded, span[0], progress)
+        film = make_film(out, subjects, film_shots, look, made_of, view if style.recorded else None, span[0], progress)
     terminal = console()
     for name, words in behind.items():
         terminal.print(f"behind {name}: {words}")
@@ -207,12 +208,8 @@ def _span(results: list[Opened], dataset: Dataset | None) -> tuple[float, float]
     return min(first for first, _ in spans), max(last for _, last in spans)
 
 
-def camera_number(name: str | None, dataset: Dataset | None, option: str = "--camera") -> int | None:
-    """Return the number of the dataset's camera of that name, by default the middle one; None without a dataset."""
-    if dataset is None:
-        if name is not None:
-            raise GofError(f"{option} {name}: cameras are a dataset's; add --dataset")
-        return None
+def camera_number(name: str | None, dataset: Dataset, option: str = "--camera") -> int:
+    """Return the number of the dataset's camera of that name, by default the middle one."""
     known = [camera.name for camera in dataset.cameras]
     if name is not None and name not in known:
         raise GofError(f"{option} {name}: the dataset has {', '.join(known)}")
@@ -220,21 +217,16 @@ def camera_number(name: str | None, dataset: Dataset | None, option: str = "--ca
 
 
 def _journey(
-    config: VideoConfig,
-    style: FilmStyle,
-    results: list[Opened],
-    dataset: Dataset | None,
-    number: int | None,
-    time_s: float,
+    config: VideoConfig, style: FilmStyle, results: list[Opened], view: Recorded | None, time_s: float
 ) -> Journey:
     middle, reach = middle_of(results[0].gaussians.state_at(time_s), time_s)
-    if dataset is None:
+    if view is None:
         if config.camera_path != "orbit":
             raise GofError(f"--camera-path {config.camera_path}: cameras are a dataset's; add --dataset, or take orbit")
         return orbit(_sized(front_camera(middle, reach), config.max_size), middle, style.degrees)
     if config.camera_path == "cameras":
-        return through([_sized(camera, config.max_size) for camera in dataset.cameras])
-    camera = _sized(dataset.cameras[number], config.max_size)
+        return through([_sized(camera, config.max_size) for camera in view.dataset.cameras])
+    camera = _sized(view.dataset.cameras[view.camera], config.max_size)
     return stay(camera) if config.camera_path == "camera" else orbit(camera, middle, style.degrees)
 
 
@@ -258,8 +250,7 @@ def _still_scene(path: Path) -> TransientGaussians:
 def _subjects(
     results: list[Opened],
     still: TransientGaussians | None,
-    dataset: Dataset | None,
-    number: int | None,
+    view: Recorded | None,
     first: Shot,
     config: VideoConfig,
 ) -> tuple[list[Subject], dict[str, str]]:
@@ -273,9 +264,9 @@ def _subjects(
             scene, said = still, "the still scene of --style scene"
         elif not is_flame_alone(result.gaussians, result.method, result.flame_only):
             said = UNKNOWN
-        elif config.camera_path == "camera":
-            plate = fitted(background(dataset, number, result.path), first.camera.width, first.camera.height)
-            said = f"the plate of {dataset.cameras[number].name}"
+        elif config.camera_path == "camera" and view is not None:
+            plate = fitted(background(view.dataset, view.camera, result.path), first.camera.width, first.camera.height)
+            said = f"the plate of {view.dataset.cameras[view.camera].name}"
         else:
             said = "nothing, so black (a still scene is made by `gof background`, and named with --style scene=FILE)"
         subjects.append(Subject(result.name, result.gaussians, scene, plate))

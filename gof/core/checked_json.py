@@ -86,7 +86,7 @@ def _value(hint: Any, value: Any, name: str, ignore_unknown: bool) -> Any:
         return value  # effects, which are built already; most of what files hold
     if hint in (int, float):
         return _number(hint, value, name)
-    if dataclasses.is_dataclass(hint):
+    if isinstance(hint, type) and dataclasses.is_dataclass(hint):
         return from_dict(hint, value, name + ".", ignore_unknown)
     origin, args = typing.get_origin(hint), typing.get_args(hint)
     if origin is Literal:

@@ -167,7 +167,7 @@ def _is_image(line: str) -> bool:
 
 def _turns(line: str) -> bool:
     """Return whether the second to fifth word are a quaternion of length 1, which no observations in pixels are."""
-    return abs(np.linalg.norm([float(word) for word in line.split()[1:5]]) - 1) < 1e-2
+    return bool(abs(np.linalg.norm([float(word) for word in line.split()[1:5]]) - 1) < 1e-2)
 
 
 def _is_observations(line: str) -> bool:
@@ -189,7 +189,7 @@ def _are_numbers(words: list[str]) -> bool:
 
 def _text_lenses(lines: list[Line]) -> list[tuple[int, Lens]]:
     """Per camera a line "number model width height parameters". Raises ValueError: a line is none."""
-    lenses = []
+    lenses: list[tuple[int, Lens]] = []
     for number, line in lines:
         words = line.split()
         if words and not (len(words) > 4 and _are_whole([words[0], *words[2:4]]) and _are_numbers(words[4:])):
@@ -198,7 +198,7 @@ def _text_lenses(lines: list[Line]) -> list[tuple[int, Lens]]:
             if int(words[0]) in dict(lenses):
                 raise ValueError(f"line {number}: a second camera {words[0]}")
             try:
-                lens = _lens(words[1], *map(int, words[2:4]), list(map(float, words[4:])))
+                lens = _lens(words[1], int(words[2]), int(words[3]), list(map(float, words[4:])))
             except ValueError as e:
                 raise ValueError(f"line {number}: {e}") from e
             lenses.append((int(words[0]), lens))

@@ -10,6 +10,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from .errors import DataFormatError, GofError
 
@@ -42,7 +43,7 @@ class Datum:
         return cls(tuple(position.tolist()), time_s)
 
     @classmethod
-    def from_numbers(cls, numbers: np.ndarray, source: object) -> Datum:
+    def from_numbers(cls, numbers: ArrayLike, source: object) -> Datum:
         """Build one from x, y, z (m) and t (s), as files hold it. Raises DataFormatError: not four finite numbers."""
         try:
             x, y, z, t = np.asarray(numbers, np.float64).reshape(4).tolist()

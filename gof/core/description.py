@@ -21,7 +21,8 @@ FILE = "dataset.json"
 FRAME = re.compile(r"\{frame(?::0?([1-9])d)?\}")  # all of Python's format language that file names may use
 PICTURES = ("rgb", "static", "mask", "exr", "flow", "board_mask")  # fields of a camera that name files
 METRES = "metres"  # how provenance["scale"] begins, if it is there at all, where lengths are metres
-Row3, Row4 = tuple[float, float, float], tuple[float, float, float, float]
+Row3 = tuple[float, float, float]
+Row4 = tuple[float, float, float, float]
 TEST_EVERY, TEST_FIRST = 8, 4  # every 8th frame is held out (paper, "Results"), from the fifth on
 
 
@@ -88,12 +89,13 @@ class CameraEntry:
     def measured_from(self, datum: Datum) -> CameraEntry:
         """Return the same camera where the datum is the zero of world and clock."""
         own = self.time_s and tuple(time_s - datum.time_s for time_s in self.time_s)
-        pose = self.camera().measured_from(datum).world_to_camera
-        return replace(self, world_to_camera=tuple(map(tuple, pose.tolist())), time_s=own)
+        a, b, c, d = map(tuple, self.camera().measured_from(datum).world_to_camera.tolist())
+        return replace(self, world_to_camera=(a, b, c, d), time_s=own)
 
     def camera(self) -> Camera:
         """Return its camera. Raises DataFormatError or NonFiniteError: the matrices are not a camera's."""
-        return Camera(self.name, self.width, self.height, self.K, self.world_to_camera, self.row_time_s, self.readout)
+        K, world_to_camera = np.array(self.K), np.array(self.world_to_camera)
+        return Camera(self.name, self.width, self.height, K, world_to_camera, self.row_time_s, self.readout)
 
 
 @dataclass(frozen=True)

@@ -18,7 +18,7 @@ from .files import write_bytes
 
 MAGIC = b"\x76\x2f\x31\x01"
 LINES = {0: 1, 2: 1, 3: 16}  # of a block, by compression: none, ZIPS, ZIP
-TYPES = {0: np.dtype("<u4"), 1: np.dtype("<f2"), 2: np.dtype("<f4")}
+TYPES: dict[int, np.dtype] = {0: np.dtype("<u4"), 1: np.dtype("<f2"), 2: np.dtype("<f4")}
 MOST_PIXELS = 1 << 28  # a header that says more is damaged
 NOT_PLAIN = 0x1E00  # bits of the version: tiles, long names, deep, several parts
 LONG_NAMES = 0x400
@@ -135,7 +135,8 @@ def _header(data: bytes) -> tuple[dict[str, bytes], int]:
 
 def _listed(data: bytes) -> dict[str, np.dtype]:
     """Return the type of each channel, in the file's order."""
-    found, at = {}, 0
+    found: dict[str, np.dtype] = {}
+    at = 0
     while data[at] != 0:
         name, at = _word(data, at)
         kind, *steps = struct.unpack_from("<iB3xii", data, at)

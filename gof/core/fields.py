@@ -59,7 +59,8 @@ class VelocityField:
 
     @property
     def resolution(self) -> tuple[int, int, int]:
-        return self.velocity.shape[:3]
+        x, y, z, _ = self.velocity.shape
+        return x, y, z
 
     @property
     def voxel_size(self) -> float:
@@ -198,7 +199,8 @@ class GridSequence:
 
     @property
     def resolution(self) -> tuple[int, int, int]:
-        return self._array.shape[1:4]
+        x, y, z = self._array.shape[1:4]
+        return x, y, z
 
     @property
     def dtype(self) -> np.dtype:
@@ -225,7 +227,8 @@ class GridSequence:
         parts = self.bracket(time_s)
         if len(parts) == 1:
             return self.cells(parts[0][0]).astype(np.float32)
-        return sum(np.float32(weight) * self.cells(index).astype(np.float32) for index, weight in parts)
+        first, last = (np.float32(weight) * self.cells(index).astype(np.float32) for index, weight in parts)
+        return first + last
 
     def bracket(self, time_s: float) -> list[tuple[int, float]]:
         """Return (stored frame, weight) pairs of a time: one frame within 1 us, otherwise the two around it, linearly.
@@ -332,8 +335,8 @@ class VelocitySequence(GridSequence):
         parts = self.bracket(time_s)
         if len(parts) == 1:
             return self.frame(parts[0][0])
-        velocity = sum(np.float32(weight) * self.frame(index).velocity.astype(np.float32) for index, weight in parts)
-        return VelocityField(velocity, self.index_to_world, float(time_s))
+        first, last = (np.float32(weight) * self.frame(index).velocity.astype(np.float32) for index, weight in parts)
+        return VelocityField(first + last, self.index_to_world, float(time_s))
 
     def sample(self, points: np.ndarray, time_s: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return velocity (N, 3) float32 m/s at world points (N, 3) and times (N,), and which points lie in the domain

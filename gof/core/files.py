@@ -14,6 +14,7 @@ import sys
 import tempfile
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager, suppress
+from importlib import import_module
 from pathlib import Path
 from typing import IO, Any
 
@@ -21,10 +22,9 @@ from .drafts import draft_of
 from .errors import DataFormatError, GofError
 
 try:
-    import fcntl
+    locks = import_module("fcntl")
 except ModuleNotFoundError:  # Windows
-    fcntl = None
-    import msvcrt
+    locks = import_module("msvcrt")
 
 LONGEST_NAME, LONGEST_PATH = 200, 1000  # bytes; room is left for what is put around a name, and for the folder
 HALF_CHARACTER = re.compile(r"\\u[dD][89a-fA-F]")  # in JSON; alone it can be neither printed nor written
@@ -270,11 +270,11 @@ def _opened_lock(path: Path) -> IO[str]:
 
 def _lock(lock: IO[str], folder: Path) -> None:
     try:
-        if fcntl:
-            fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        if hasattr(locks, "flock"):
+            locks.flock(lock, locks.LOCK_EX | locks.LOCK_NB)
         else:  # a byte behind the end, as no other process can read what is locked
             lock.seek(LOCKED_BYTE)
-            msvcrt.locking(lock.fileno(), msvcrt.LK_NBLCK, 1)
+            locks.locking(lock.fileno(), locks.LK_NBLCK, 1)
     except (BlockingIOError, PermissionError) as e:
         lock.seek(0)
         raise GofError(
@@ -372,8 +372,8 @@ def _not_finite(value: Any) -> str | None:
     """Return where the first number that is not finite stands, as "cameras[0].K[1][2]"; None where all are."""
     if isinstance(value, float):
         return None if math.isfinite(value) else ""
-    parts = value.items() if isinstance(value, dict) else enumerate(value) if isinstance(value, list) else ()
-    for key, part in parts:
+    parts: Iterable[tuple[Any, Any]] = enumerate(value) if isinstance(value, list) else ()
+    for key, part in value.items() if isinstance(value, dict) else parts:
         if (inner := _not_finite(part)) is not None:
             here = f"[{key}]" if isinstance(value, list) else key[:80]
             return here + ("." if inner and not inner.startswith("[") else "") + inner

@@ -50,7 +50,8 @@ def read(ply: Ply) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
         )
     refuse_variants({name: MEANT.get(words[name].lower(), words[name]) for name in VANILLA if name in words}, ply.path)
     try:
-        facts = {"use_velocity": SWITCH[words["use_velocity"].lower()], "min_duration": float(words["min_duration"])}
+        facts: dict[str, Any] = {"use_velocity": SWITCH[words["use_velocity"].lower()]}
+        facts["min_duration"] = float(words["min_duration"])
         if "n_frames" in words:
             facts["n_frames"] = int(words["n_frames"])
         if CLIP in words:

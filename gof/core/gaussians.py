@@ -12,7 +12,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
-from typing import Protocol
+from typing import Any, Protocol
 
 import numpy as np
 
@@ -22,6 +22,7 @@ from .errors import DataFormatError, naming, require_finite
 from .similarity import transformed_splats
 
 LIFE_SIGMAS = 3.0  # a Gaussian lives for this many t_sigma before and after t_mu; then 99 % of its opacity is gone
+FILLED_IN: Any = None  # default of an array that is there once its owner is constructed
 
 
 class MovingGaussians(Protocol):
@@ -88,7 +89,7 @@ class TransientGaussians:
     color: np.ndarray
     dynamic: np.ndarray
     gas_velocity: np.ndarray | None = None
-    velocity_sd: np.ndarray = None  # never None once constructed
+    velocity_sd: np.ndarray = FILLED_IN
     datum: Datum | None = None
 
     def __post_init__(self):

@@ -159,8 +159,9 @@ class GridWriter:
         return True
 
     def _chunks(self) -> Iterator[tuple[tuple[int, int, int], Block]]:
-        for index in product(*(range(-(-n // CHUNK)) for n in self.grid)):
-            yield index, tuple(slice(i * CHUNK, min((i + 1) * CHUNK, n)) for i, n in zip(index, self.grid, strict=True))
+        x, y, z = ([slice(at, min(at + CHUNK, n)) for at in range(0, n, CHUNK)] for n in self.grid)
+        for (i, a), (j, b), (k, c) in product(enumerate(x), enumerate(y), enumerate(z)):
+            yield (i, j, k), (a, b, c)
 
     def _encode(self, exact: np.ndarray, frame: int) -> np.ndarray:
         if not np.isfinite(exact).all():

@@ -17,7 +17,7 @@ def morton_order(points: np.ndarray) -> np.ndarray:
     side = (points.max(axis=0, initial=-np.inf) - low).max() if len(points) else 0.0
     # One scale for all axes, so that cells are cubes; a set without extent is one cell.
     cell = ((points - low) * ((2**BITS - 1) / side)).astype(np.uint32) if side > 0 else np.zeros_like(points, np.uint32)
-    code = np.zeros(len(points), np.uint32)
+    code: np.ndarray = np.zeros(len(points), np.uint32)
     for bit in range(BITS):
         for axis in range(3):
             code |= ((cell[:, axis] >> bit) & 1) << (3 * bit + axis)

@@ -15,8 +15,8 @@ from .errors import DataFormatError
 
 # numpy and zipfile meet damage with many kinds of error, among them NotImplementedError, UnicodeError, and for a header
 # that does not end, the tokenizer's own.
-DAMAGE = (zipfile.BadZipFile, zlib.error, tokenize.TokenError, EOFError, ValueError, OSError, RuntimeError)
-DAMAGE += (AttributeError, TypeError, KeyError, SyntaxError, OverflowError)
+DAMAGE: tuple[type[Exception], ...] = (zipfile.BadZipFile, zlib.error, tokenize.TokenError, EOFError, ValueError)
+DAMAGE += (OSError, RuntimeError, AttributeError, TypeError, KeyError, SyntaxError, OverflowError)
 EXPANSION, ALWAYS = 100, 2**26  # an archive may unpack to this many times its size, or to this many bytes
 
 

@@ -33,6 +33,7 @@ def number_files(paths: Iterable[Path]) -> list[tuple[int, Path]]:
         return [((frame_of(files[0]) or ("", 0, ""))[1], files[0])]
     known: dict[int, Path] = {}
     names: dict[str, Path] = {}
+    lengths: set[int] = set()  # of the digits
     for path in files:
         found = frame_of(path)
         if found is None:
@@ -40,7 +41,7 @@ def number_files(paths: Iterable[Path]) -> list[tuple[int, Path]]:
                 f"{path}: its name has no number that says which frame it is, as {files[0].parent / 'frame_0001'} "
                 "would; rename it, or keep it elsewhere"
             )
-        name, number, _ = found
+        name, number, digits = found
         if number in known:
             raise DataFormatError(
                 f"{path}: has the number {number}, and so has {_beside(known[number], path)}; keep one file for each "
@@ -48,15 +49,17 @@ def number_files(paths: Iterable[Path]) -> list[tuple[int, Path]]:
             )
         known[number] = path
         names.setdefault(name, path)
+        lengths.add(len(digits))
     if len(names) > 1:
         one, other = list(names.values())[:2]
         raise DataFormatError(
             f"{one} and {_beside(other, one)}: differ in more than the frame's number; keep one sequence in a folder, "
             "named as frame_0001, frame_0002, ..."
         )
-    found = sorted(known.items())
-    _refuse_decimals(found)
-    return found
+    numbered = sorted(known.items())
+    if any(re.search(r"[0-9]\.#", name) for name in names):
+        _refuse_decimals(numbered, lengths)
+    return numbered
 
 
 def is_hidden(path: Path) -> bool:
@@ -93,16 +96,12 @@ def usual_step(numbers: list[int]) -> int:
     return math.gcd(*(b - a for a, b in itertools.pairwise(numbers))) or 1
 
 
-def _refuse_decimals(found: list[tuple[int, Path]]) -> None:
+def _refuse_decimals(found: list[tuple[int, Path]], lengths: set[int]) -> None:
     """Raise DataFormatError: digits behind a digit and a point that do not count up by one, as 0.25 and 0.5."""
-    path = found[0][1] if found else None
-    if path is None or not re.search(r"[0-9]\.#", frame_of(path)[0]):
-        return
-    digits = {len(frame_of(file)[2]) for _, file in found}
-    if len(digits) > 1 or found[-1][0] - found[0][0] != len(found) - 1:
+    if len(lengths) > 1 or found[-1][0] - found[0][0] != len(found) - 1:
         raise DataFormatError(
-            f"{path} ... {found[-1][1].name}: are the digits behind the point a frame's number, or decimals? Name the "
-            "files frame_0001, frame_0002, ..."
+            f"{found[0][1]} ... {found[-1][1].name}: are the digits behind the point a frame's number, or decimals? "
+            "Name the files frame_0001, frame_0002, ..."
         )
 
 

@@ -10,7 +10,7 @@ import io
 import os
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import IO
+from typing import IO, Literal
 
 import numpy as np
 
@@ -24,7 +24,8 @@ TYPES = {
     **{"float": "f4", "double": "f8", "float32": "f4", "float64": "f8"},
 }
 NAMES = {"f4": "float", "u1": "uchar"}  # what is written
-FORMATS = {"ascii": "=", "binary_little_endian": "<", "binary_big_endian": ">"}
+Order = Literal["=", "<", ">"]
+FORMATS: dict[str, Order] = {"ascii": "=", "binary_little_endian": "<", "binary_big_endian": ">"}
 
 
 @dataclass(frozen=True)
@@ -195,7 +196,7 @@ def _check_size(header: Header, size: int, path: Path) -> None:
             )
 
 
-def _walk(file: IO[bytes], element: Element, order: str, path: Path) -> np.ndarray:
+def _walk(file: IO[bytes], element: Element, order: Order, path: Path) -> np.ndarray:
     """Return row after row of a binary element with lists: they lie between its numbers, so rows differ in length."""
     data, place, numbers = file.read(), 0, bytearray()
     kinds = [(p, np.dtype(p.count or p.type).itemsize, np.dtype(p.type).itemsize) for p in element.properties]
@@ -248,7 +249,7 @@ def _numbers(words: list[str], element: Element) -> tuple:
         if place >= len(words):
             raise ValueError(f"no value for '{p.name}'")
         value = _number(words[place], p.count or p.type)
-        place += 1 + (value if p.count else 0)
+        place += 1 + (int(value) if p.count else 0)
         if p.count and value < 0:
             raise ValueError(f"a list of {value} numbers ('{p.name}')")
         if not p.count:

@@ -20,6 +20,7 @@ from .files import read_json, write_json
 class Record(Protocol):
     SCHEMA: ClassVar[str]
     VERSION: ClassVar[int]
+    __dataclass_fields__: ClassVar[dict[str, Any]]
 
 
 R = TypeVar("R", bound=Record)

@@ -10,7 +10,7 @@ import numpy as np
 from .datum import Datum
 from .errors import DataFormatError, require_finite
 from .files import atomic_path
-from .gaussians import TransientGaussians
+from .gaussians import FILLED_IN, TransientGaussians
 from .similarity import transformed_splats
 
 SCHEMA = "gof-trajectory/1"
@@ -29,8 +29,8 @@ class Trajectory:
         opacity: (T, N) 0..1, everything included (temporal windows, deformation).
         scale: (N, 3) or (T, N, 3) m, > 0.   rotation: (N, 4) or (T, N, 4) wxyz.
         velocity: (T, N, 3) m/s, or None: differences of the positions.
-        color: (N, 3) display values or (N, K, 3) spherical harmonics.
-        dynamic: (N,) bool.
+        color: (N, 3) display values or (N, K, 3) spherical harmonics; None = grey.
+        dynamic: (N,) bool; None = all move.
 
     Raises:
         DataFormatError: shapes or ranges are wrong.   NonFiniteError: NaN or Inf.
@@ -42,8 +42,8 @@ class Trajectory:
     scale: np.ndarray
     rotation: np.ndarray
     velocity: np.ndarray | None = None
-    color: np.ndarray | None = None
-    dynamic: np.ndarray | None = None
+    color: np.ndarray = FILLED_IN
+    dynamic: np.ndarray = FILLED_IN
 
     def __post_init__(self):
         for f in fields(self):
@@ -134,7 +134,7 @@ class Trajectory:
             # differences from one of them: the centres' distance from the world's origin costs no digits
             base = self.position[stencil[0]].astype(np.float64)
             velocity = sum(w * (self.position[j] - base) for j, w in zip(stencil[1:], c[1:], strict=True))
-        rotation = self.rotation if self.rotation.ndim == 2 else self.rotation[max(weights, key=weights.get)]
+        rotation = self.rotation if self.rotation.ndim == 2 else self.rotation[max(weights, key=weights.__getitem__)]
         n = len(self)
         return TransientGaussians(
             position=mix(self.position),
@@ -156,16 +156,18 @@ class Trajectory:
         """
         if self.velocity is not None or len(self.time_s) < 5:
             return float("nan")
-        fine, coarse = [], []
-        for k in range(2, len(self.time_s) - 2):
-            base = self.position[k].astype(np.float64)
-            for out, step in ((fine, 1), (coarse, 2)):
-                rows = [k - step, k, k + step]
-                c = _derivative_weights(self.time_s[rows], self.time_s[k])
-                out.append(sum(w * (self.position[j] - base) for j, w in zip(rows, c, strict=True)))
-        fine, coarse = np.array(fine)[:, self.dynamic], np.array(coarse)[:, self.dynamic]
+        fine, coarse = self._inner_velocities(1), self._inner_velocities(2)
         power = float((fine**2).sum())
         return float(np.sqrt(((fine - coarse) ** 2).sum() / power)) if power > 0 else 0.0
+
+    def _inner_velocities(self, step: int) -> np.ndarray:
+        """Return (T - 4, dynamic, 3) m/s by differences over `step` samples to each side."""
+        found = []
+        for k in range(2, len(self.time_s) - 2):
+            rows, base = [k - step, k, k + step], self.position[k].astype(np.float64)
+            c = _derivative_weights(self.time_s[rows], self.time_s[k])
+            found.append(sum(w * (self.position[j] - base) for j, w in zip(rows, c, strict=True)))
+        return np.array(found)[:, self.dynamic]
 
     def transformed(self, matrix: np.ndarray) -> Trajectory:
         """In another world, by a similarity (4, 4)."""

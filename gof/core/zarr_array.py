@@ -17,6 +17,7 @@ from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from itertools import product
 from pathlib import Path
+from typing import Literal
 
 import numpy as np
 
@@ -24,6 +25,7 @@ from .errors import DataFormatError, MissingDependencyError
 from .files import path_in, read_json, write_json
 
 TYPES = ("float16", "float32", "float64")
+ORDERS: dict[str, Literal["<", ">"]] = {"little": "<", "big": ">"}
 PACKINGS = ("gzip", "zstd")
 REMEDY = "write it with zarr.create_array(..., compressors=zarr.codecs.GzipCodec())"
 MOST_CHUNKS = 2**15  # of an index of the first axis; each is asked for, stored or not
@@ -235,7 +237,7 @@ def _described(description: dict) -> tuple:
     first, *packings = description["codecs"]
     if first["name"] != "bytes" or len(packings) > 1 or any(p["name"] not in PACKINGS for p in packings):
         raise ValueError(f"codecs {[c['name'] for c in description['codecs']]}; expected bytes, and gzip or zstd")
-    order = {"little": "<", "big": ">"}[first["configuration"]["endian"]]
+    order = ORDERS[first["configuration"]["endian"]]
     separator = description["chunk_key_encoding"].get("configuration", {}).get("separator", "/")
     if separator not in ("/", "."):
         raise ValueError(f"separator {separator!r}")

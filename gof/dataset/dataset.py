@@ -133,7 +133,7 @@ class Dataset:
         frames = range(len(self.times_s))
         seen = replace(self.description, cameras=tuple(c for c in self.description.cameras if c.role != "around"))
         names = {entry.file_name(kind, frame) for entry in seen.cameras for kind in SEEN for frame in frames}
-        files = stamp(self.path, names - {None} | set(others))
+        files = stamp(self.path, {*filter(None, names), *others})
         about = to_json(seen)
         for entry in about["cameras"]:
             if entry["frames"] is None:  # as it was before there was such a field

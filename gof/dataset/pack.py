@@ -161,12 +161,12 @@ def _extract(archive: Path, tar: tarfile.TarFile, root: str, draft: Path, progre
     found: dict[str, str] = {}
     for member in tar.getmembers():
         inside, _, name = member.name.partition("/")
-        plain = member.isreg() and not member.issparse() and inside == root and is_relative_path(name)
-        if not plain or name.startswith(".") or name in found:
+        source = tar.extractfile(member) if member.isreg() and not member.issparse() else None
+        if source is None or inside != root or not is_relative_path(name) or name.startswith(".") or name in found:
             raise DataFormatError(f"{archive}: {member.name[:200]!r} is not a plain file inside {root!r}, once")
         path = path_in(draft, name)
         path.parent.mkdir(parents=True, exist_ok=True)
-        with tar.extractfile(member) as source, path.open("wb") as out:
+        with source, path.open("wb") as out:
             counted = _Counted(source)
             shutil.copyfileobj(counted, out, BLOCK)
         if counted.size != member.size:

@@ -66,7 +66,8 @@ def own_plate(static: np.ndarray, name: str, result: Path | None) -> np.ndarray:
         raise DataFormatError(
             f"{path}: not a 16-bit RGB or RGBA PNG; remove the file to use the dataset's plate, or reconstruct again"
         )
-    plate, before = stored[..., 2::-1].astype(np.float32) / LEVELS, stored[..., 3:].astype(np.float32) / LEVELS
+    plate: np.ndarray = stored[..., 2::-1].astype(np.float32) / LEVELS
+    before: np.ndarray = stored[..., 3:].astype(np.float32) / LEVELS
     if plate.shape != static.shape:
         small, large = plate.shape[1::-1], static.shape[1::-1]
         added = plate - cv2.resize(static, small, interpolation=cv2.INTER_AREA)

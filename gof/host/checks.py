@@ -27,8 +27,8 @@ Outcome = tuple[Status, str]
 
 PACKAGES = ("numpy", "scipy", "opencv-contrib-python-headless", "drjit", "pillow", "zstandard")
 # Settings of the environment that change what runs.
-VARIABLES = ("GOF_RENDER_BACKEND", "GOF_RENDER_KERNELS", "DRJIT_LIBLLVM_PATH", "OMP_NUM_THREADS", "NUMBA_NUM_THREADS")
-VARIABLES += ("OPENBLAS_CORETYPE", "CUDA_VISIBLE_DEVICES")
+VARIABLES: tuple[str, ...] = ("GOF_RENDER_BACKEND", "GOF_RENDER_KERNELS", "DRJIT_LIBLLVM_PATH", "OMP_NUM_THREADS")
+VARIABLES += ("NUMBA_NUM_THREADS", "OPENBLAS_CORETYPE", "CUDA_VISIBLE_DEVICES")
 
 # Folder with optional model weights, for this check; commands take each folder by an option.
 WEIGHTS_VARIABLE = "GOF_WEIGHTS"

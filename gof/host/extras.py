@@ -45,7 +45,7 @@ def missing() -> dict[str, list[str]]:
     found: dict[str, list[str]] = {}
     for requirement in importlib.metadata.requires("gaussians-on-fire") or []:
         extra = re.search(r"""extra == ['"]([\w-]+)['"]""", requirement)
-        name = re.match(r"[\w.-]+", requirement)[0]
+        name = re.split(r"[^\w.-]", requirement, maxsplit=1)[0]
         if extra and "python_version" not in requirement:
             lacks = found.setdefault(extra[1], [])
             try:

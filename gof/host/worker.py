@@ -46,7 +46,7 @@ def run_worker(argv: list[str], title: str, log: Path | None = None) -> StageCos
     peak = _PeakMemory(child.pid)
     try:
         with progress_bar(title, ticking=True) as update:
-            for line in child.stdout:
+            for line in child.stdout or ():
                 if message := _progress_of(line):
                     figures = message
                     update(**message)

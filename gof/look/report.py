@@ -50,7 +50,7 @@ def build_report(
     preview: Preview | None = None,
     stage_pictures: Path | None = None,
     camera: int | None = None,
-    fire_removal: Sequence[Sequence[PagePicture]] = (),
+    fire_removal: Sequence[Sequence[PagePicture | None]] = (),
     progress: Callable[..., None] | None = None,
 ) -> Path:
     """Write out_dir/report.html, and out_dir/pictures/animation.webp and .png for use elsewhere; replaces older ones.

@@ -43,7 +43,8 @@ def main() -> int:
         if options.trajectory:
             if len(options.arguments) != 2:
                 parser.error("--trajectory FILE SCRIPT needs the training's output folder and the dataset, no more")
-            export(method, script, *map(Path, options.arguments), options.trajectory)
+            trained, dataset = map(Path, options.arguments)
+            export(method, script, trained, dataset, options.trajectory)
         else:
             launch(method, script, options.arguments, options.curve, options.without_lpips)
     except GofError as e:

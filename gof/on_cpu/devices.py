@@ -172,7 +172,7 @@ def replace_cuda(mode: CpuForCuda) -> None:
 
     torch.autograd._engine_run_backward = with_mode
     load = torch.load
-    torch.load = lambda *args, map_location=None, **kwargs: load(*args, map_location=CPU, **kwargs)
+    torch.load = lambda f, map_location=None, *args, **kwargs: load(f, CPU, *args, **kwargs)
 
 
 def _load_in_this_process() -> None:
@@ -184,4 +184,4 @@ def _load_in_this_process() -> None:
             options.pop(word, None)
         original(self, dataset, batch_size, shuffle, sampler, batch_sampler, 0, **options)
 
-    DataLoader.__init__ = __init__
+    DataLoader.__init__ = __init__  # type: ignore[assignment, method-assign]

@@ -120,7 +120,10 @@ def read_settings(path: Path) -> Namespace:
         call = ast.parse(path.read_text(encoding="utf-8"), mode="eval").body
         if not (isinstance(call, ast.Call) and isinstance(call.func, ast.Name) and call.func.id == "Namespace"):
             raise ValueError("it is no Namespace")
-        return Namespace(**{word.arg: ast.literal_eval(word.value) for word in call.keywords})
+        values = {word.arg: ast.literal_eval(word.value) for word in call.keywords if word.arg is not None}
+        if len(values) < len(call.keywords):
+            raise ValueError("a value has no name")
+        return Namespace(**values)
     except (OSError, ValueError, SyntaxError, TypeError, RecursionError) as e:
         raise DataFormatError(f"{path}: not the settings of a training of 4DGS (Wu): {e}") from e
 

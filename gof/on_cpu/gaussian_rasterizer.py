@@ -19,6 +19,7 @@ from typing import NamedTuple
 import torch
 
 from gof.core.errors import DataFormatError
+from gof.on_cpu.small_modules import stand_in
 from gof.render import rasterize
 
 NEAR = 0.2
@@ -285,6 +286,6 @@ def module(variant: str) -> ModuleType:
     """`diff_gaussian_rasterization` in a variant of the table above."""
     settings = SpacetimeSettings if variant == "spacetime" else GaussianRasterizationSettings
     rasterizer = {"plain": PlainRasterizer, "depth": DepthRasterizer, "spacetime": SpacetimeRasterizer}[variant]
-    found = ModuleType("diff_gaussian_rasterization")
-    found.GaussianRasterizationSettings, found.GaussianRasterizer = settings, rasterizer
-    return found
+    return stand_in(
+        "diff_gaussian_rasterization", GaussianRasterizationSettings=settings, GaussianRasterizer=rasterizer
+    )

@@ -35,13 +35,13 @@ def pictures_of_signed_bytes() -> None:
             obj = obj.view(np.uint8)
         return original(obj) if mode is None else original(obj, mode)
 
-    image.fromarray = fromarray
+    vars(image).update(fromarray=fromarray)
 
 
 def torchvision_without_its_operators() -> None:
     """Declare two operators that a torchvision built for another PyTorch wants, which nothing here calls."""
     spec = find_spec("torchvision")
-    if spec is None:
+    if spec is None or spec.origin is None:
         raise ModuleNotFoundError("No module named 'torchvision'", name="torchvision")
     try:
         for compiled in Path(spec.origin).parent.glob("_C*"):
@@ -66,8 +66,8 @@ def perceptual_loss_left_out() -> None:
     """LPIPS needs weights that are fetched when it is made."""
     from gof.on_cpu.small_modules import NoPerceptualLoss
 
-    import_module("torchmetrics.image.lpip").LearnedPerceptualImagePatchSimilarity = NoPerceptualLoss
-    import_module("torchmetrics.image").LearnedPerceptualImagePatchSimilarity = NoPerceptualLoss
+    for module in ("torchmetrics.image.lpip", "torchmetrics.image"):
+        vars(import_module(module)).update(LearnedPerceptualImagePatchSimilarity=NoPerceptualLoss)
 
 
 @dataclass(frozen=True)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from importlib import import_module
 from types import ModuleType
+from typing import Any
 
 import torch
 from scipy.spatial import cKDTree
@@ -14,11 +15,16 @@ WINDOW, SIGMA = 11, 1.5  # SSIM of 3D Gaussian Splatting
 C1, C2 = 0.01**2, 0.03**2
 
 
+def stand_in(name: str, **contents: Any) -> ModuleType:
+    """Return a module of this name that holds these contents."""
+    found = ModuleType(name)
+    vars(found).update(contents)
+    return found
+
+
 def simple_knn() -> ModuleType:
     """`simple_knn._C`: `distCUDA2`."""
-    found = ModuleType("simple_knn._C")
-    found.distCUDA2 = mean_squared_distance
-    return found
+    return stand_in("simple_knn._C", distCUDA2=mean_squared_distance)
 
 
 def mean_squared_distance(points):
@@ -31,9 +37,7 @@ def mean_squared_distance(points):
 
 def fused_ssim() -> ModuleType:
     """`fused_ssim`: its function of the same name."""
-    found = ModuleType("fused_ssim")
-    found.fused_ssim = mean_ssim
-    return found
+    return stand_in("fused_ssim", fused_ssim=mean_ssim)
 
 
 def mean_ssim(img1, img2, padding: str = "same", train: bool = True):
@@ -60,19 +64,15 @@ def mean_ssim(img1, img2, padding: str = "same", train: bool = True):
 
 def mmcv() -> ModuleType:
     """`mmcv` of before version 2: `Config`, which lives in `mmengine` today."""
-    found = ModuleType("mmcv")
     try:
-        found.Config = import_module("mmengine.config").Config
+        return stand_in("mmcv", Config=import_module("mmengine.config").Config)
     except ModuleNotFoundError as e:
         raise MissingDependencyError(f"this method reads its configurations with mmengine, which needs {e.name}") from e
-    return found
 
 
 def kornia() -> ModuleType:
     """`kornia`: `create_meshgrid` in pixels."""
-    found = ModuleType("kornia")
-    found.create_meshgrid = pixel_grid
-    return found
+    return stand_in("kornia", create_meshgrid=pixel_grid)
 
 
 def pixel_grid(height: int, width: int, normalized_coordinates: bool = True, device=None, dtype=None):

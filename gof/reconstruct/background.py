@@ -170,12 +170,12 @@ def plate_depths(dataset: Dataset, plates: Sequence[np.ndarray], weights: Path |
         raise GofError(f"{dataset.path}: one camera has no stereo depth; give depth/{files[0].name}")
     poses = Poses.read(dataset.path)
     points = np.zeros((0, 3)) if poses is None else poses.points_array() - dataset.datum.position
-    pictures = [np.uint8(np.rint(255 * plate)) for plate in plates]
+    pictures = [np.rint(255 * plate).astype(np.uint8) for plate in plates]
     partial = stereo_depth(pictures, dataset.cameras, points)
     return [depth_maps.whole_depth(d, picture, weights) for d, picture in zip(partial, pictures, strict=True)]
 
 
-def _stored_depth(file: Path, size: tuple[int, int]) -> np.ndarray:
+def _stored_depth(file: Path, size: Sequence[int]) -> np.ndarray:
     """(H, W) float32 m of a depth map of the dataset, at `size` (width, height)."""
     import cv2
 

@@ -65,7 +65,7 @@ def load_checkpoint(path: Path, optimizer: Adam, resized: bool = False) -> int:
         for name in list(optimizer.keys()):
             _, _, rate, _ = optimizer.state[name]
             old = dr.detach(optimizer[name])
-            many = count if resized and not name.startswith(PLATE) else np.shape(old)[-1]
+            many = count if resized and not name.startswith(PLATE) else old.shape[-1]
             optimizer[name] = _like(old, data[f"{name}.value"], many)
             value, promoted, _, (t, m, v, extra) = optimizer.state[name]
             moments = _like(t, data[f"{name}.t"]), _like(m, data[f"{name}.m"]), _like(v, data[f"{name}.v"]), extra

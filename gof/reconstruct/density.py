@@ -65,6 +65,7 @@ class DensityControl:
         if self._seen is None:
             self._seen = _Seen.nothing(count)
         half = np.array([camera.width / 2, camera.height / 2])[:, None]
+        assert frame.mean2d_grad is not None, "it is there after a backward pass"
         gradient = np.stack([g.numpy()[:count] for g in frame.mean2d_grad])  # by column: compiles nothing
         pull = np.linalg.norm(gradient * half, axis=0)
         drawn = frame.radius.numpy()[:count] > 0

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 from scipy.ndimage import gaussian_filter
 
@@ -77,7 +79,7 @@ def fuse_full(
     return np.where(seen[:, None], np.linalg.solve(A, b[..., None])[..., 0], 0)
 
 
-FUSIONS = {"full": fuse_full, "paper": fuse_paper}
+FUSIONS: dict[str, Callable[..., np.ndarray]] = {"full": fuse_full, "paper": fuse_paper}
 
 
 def fuse_frame(

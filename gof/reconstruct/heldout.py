@@ -52,7 +52,8 @@ class HeldOut:
         Args:
             plates: what the Gaussians are drawn over, see `gof.reconstruct.surroundings`; none for a whole scene.
         """
-        values = {name: [] for name in ("psnr", "ssim", "psnr_flame", "ssim_flame", "psnr_flame_novel")}
+        names = ("psnr", "ssim", "psnr_flame", "ssim_flame", "psnr_flame_novel")
+        values: dict[str, list[float | None]] = {name: [] for name in names}
         for picture in self._training:
             image = self._draw(picture, gaussians, plates)
             for name, score in (("psnr", psnr), ("ssim", ssim)):

@@ -6,7 +6,7 @@ What each is worth on flames, and costs, is in notebook/choices.md.
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Literal, Protocol
+from typing import Any, Literal, Protocol
 
 import cv2
 import numpy as np
@@ -31,7 +31,7 @@ class Flow(Protocol):
 
 def dis(first: np.ndarray, second: np.ndarray, before: np.ndarray | None = None) -> np.ndarray:
     """DIS (Kroeger et al. 2016). Its patches are mean-normalised, which takes flicker out."""
-    return cv2.DISOpticalFlow_create(cv2.DISOPTICAL_FLOW_PRESET_MEDIUM).calc(_grey(first), _grey(second), None)
+    return _by_opencv(cv2.DISOpticalFlow.create(cv2.DISOPTICAL_FLOW_PRESET_MEDIUM), first, second)
 
 
 def deepflow(first: np.ndarray, second: np.ndarray, before: np.ndarray | None = None) -> np.ndarray:
@@ -39,12 +39,16 @@ def deepflow(first: np.ndarray, second: np.ndarray, before: np.ndarray | None = 
 
     Its directions are right, small motions come out up to a third too short.
     """
-    return cv2.optflow.createOptFlow_DeepFlow().calc(_grey(first), _grey(second), None)
+    return _by_opencv(cv2.optflow.createOptFlow_DeepFlow(), first, second)
 
 
 def tvl1(first: np.ndarray, second: np.ndarray, before: np.ndarray | None = None) -> np.ndarray:
     """Dual TV-L1 (Zach et al. 2007)."""
-    return cv2.optflow.createOptFlow_DualTVL1().calc(_grey(first), _grey(second), None)
+    return _by_opencv(cv2.optflow.createOptFlow_DualTVL1(), first, second)
+
+
+def _by_opencv(method: Any, first: np.ndarray, second: np.ndarray) -> np.ndarray:
+    return method.calc(_grey(first), _grey(second), None)  # OpenCV's own types do not know that None starts from rest
 
 
 def _grey(picture: np.ndarray) -> np.ndarray:

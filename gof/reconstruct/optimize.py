@@ -196,8 +196,9 @@ class Flame:
         # Pictures show light: they know nothing of the gas, and nothing of how sure its velocity is. Nor does anybody
         # of a clone, until the gas is looked up again (`gas`).
         gas_velocity = seeds.gas_velocity if schedule.gas_apart else None
-        known = {"gas_velocity": gas_velocity, "velocity_sd": seeds.velocity_sd}
-        self._kept = {"datum": seeds.datum} | ({} if schedule.density_control else known)
+        self._kept: dict[str, Any] = {"datum": seeds.datum}
+        if not schedule.density_control:
+            self._kept |= {"gas_velocity": gas_velocity, "velocity_sd": seeds.velocity_sd}
         self.start_s = float(self.read_s.min())
         plates = surroundings.unknowns()
         raw = to_raw(seeds, self.voxel_size, self.start_s, schedule.color_of_light) | plates

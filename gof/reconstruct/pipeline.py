@@ -74,7 +74,7 @@ def _run_stages(run: stages.Run, until: Until) -> stages.Reconstruction | None:
     field = stages.make_flow_field(run, observation)
     if until == "flow-field":
         return None
-    held_out = HeldOut(run.dataset, observation.static, near=field.voxels.voxel_size)
+    held_out = HeldOut(run.dataset, list(observation.static), near=field.voxels.voxel_size)
     seeds = stages.make_seeds(run, observation, still, field, held_out)
     if until == "seeds":
         return None

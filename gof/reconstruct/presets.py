@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 from gof.core.errors import GofError
-from gof.core.ladder import Rung, preset
+from gof.core.ladder import preset
 
 LEAST = {"iterations": 1, "gaussians": 1, "voxels": 4, "longest_side": 16}
 # The options of commands that give them.
@@ -37,7 +37,7 @@ class Effort:
                 raise GofError(f"{FLAGS[name]} {getattr(self, name)}: must be {least} or more")
 
 
-PRESETS: dict[Rung, Effort] = {
+PRESETS: dict[str, Effort] = {
     "toy": Effort(250, 6_000, 32, 160),
     "preview": Effort(2500, 60_000, 72, 320),
     "standard": Effort(15_000, 120_000, 96, 640),

@@ -194,7 +194,7 @@ def _plates(views: list[_View]) -> Iterator[Fault]:
             for other in views
             if other is not view and other.static.shape == view.static.shape
         }
-        nearest = min(others, key=others.get, default=None)
+        nearest = min(others, key=others.__getitem__, default=None)
         if own < PLATE[0]:
             continue
         said = f"the pictures of camera '{view.camera.name}' differ from its plate by {own:.2f} outside the fire"
@@ -242,7 +242,8 @@ def _poses(views: list[_View]) -> Iterator[Fault]:
     )
     ray = [(middle - camera.position) / max(np.linalg.norm(middle - camera.position), 1e-30) for camera in cameras]
     angle = max(
-        float(np.degrees(2 * np.arcsin(min(np.linalg.norm(a - b) / 2, 1.0)))) for a, b in itertools.combinations(ray, 2)
+        float(np.degrees(2 * np.arcsin(min(float(np.linalg.norm(a - b)) / 2, 1.0))))
+        for a, b in itertools.combinations(ray, 2)
     )
     if angle < ANGLE_DEG[1]:
         yield Fault(
@@ -277,16 +278,16 @@ def _covered(views: list[_View], frame: int) -> np.ndarray:
     axes = [np.linspace(low[i], high[i], VOXELS) for i in range(3)]
     points = np.stack(np.meshgrid(*axes, indexing="ij"), -1).reshape(-1, 3)
     disc = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * NEAR + 1, 2 * NEAR + 1))
-    inside, hit, cell = [], [], []
+    looks, hits, cell = [], [], []
     for camera, mask in zip(cameras, masks, strict=True):
         pixel, _ = camera.project(points)
         with np.errstate(invalid="ignore"):
             seen = ((pixel >= 0) & (pixel < (camera.width, camera.height))).all(1)
         column, row = np.where(seen[:, None], pixel, 0).astype(int).T
-        inside.append(seen)
-        hit.append(seen & (cv2.dilate(mask.astype(np.uint8), disc) > 0)[row, column])
+        looks.append(seen)
+        hits.append(seen & (cv2.dilate(mask.astype(np.uint8), disc) > 0)[row, column])
         cell.append((row // CELL, column // CELL))
-    inside, hit = np.array(inside), np.array(hit)
+    inside, hit = np.array(looks), np.array(hits)
     standing = (hit | ~inside).all(0) & (hit.sum(0) >= 2)
     shares = np.full(len(views), np.nan)
     for c, mask in enumerate(masks):

@@ -73,7 +73,7 @@ class ReconstructionSettings:
         """
         if choices.get("scene") is None:
             choices["scene"] = METHODS[choices.get("method", "gof")].scene
-        weights = flow_weights and stamp(flow_weights, ("config.json", "model.safetensors"))
+        weights = None if flow_weights is None else stamp(flow_weights, ("config.json", "model.safetensors"))
         prior = digest(WEIGHTS) if choices.get("flow_prior", True) else None
         return cls(dataset.identity(), **asdict(effort), flow_weights=weights, flow_prior_weights=prior, **choices)
 

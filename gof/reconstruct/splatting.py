@@ -142,8 +142,8 @@ def _densify(optimizer: Adam, pull: np.ndarray, size: float, budget: int, rng: n
         value, promoted, rate, (t, *_, extra) = grown.state[name]
         _, _, _, (t, m, v, _) = optimizer.state[name]
         kind = type(dr.detach(value))
-        moments = [kind(_with_zeros(np.array(x), len(wanted))[..., order]) for x in (m, v)]
-        grown.state[name] = (value, promoted, rate, (t, *moments, extra))
+        m, v = (kind(_with_zeros(np.array(x), len(wanted))[..., order]) for x in (m, v))
+        grown.state[name] = (value, promoted, rate, (t, m, v, extra))
     return grown
 
 

@@ -45,7 +45,7 @@ def save_observation(folder: Path, observation: Observation) -> None:
         "2_optical_flow",
         f"Optical flow inside the masks: hue is direction, full brightness is {longest:.0f} px/s; "
         "grey failed the forward-backward check",
-        np.hstack(np.where(masks, colors, 0)),
+        np.hstack(list(np.where(masks, colors, 0))),
     )
 
 
@@ -88,5 +88,5 @@ def _side_view(voxels: FlameVoxels, frame: FrameField) -> tuple[np.ndarray, np.n
 
 def _draw_arrow(image: np.ndarray, start: np.ndarray, arrow: np.ndarray) -> None:
     """start and arrow in pixels (x, y)."""
-    ends = (tuple(point.astype(int).tolist()) for point in (start, start + arrow))
-    cv2.arrowedLine(image, *ends, (120, 220, 255), 1, cv2.LINE_AA, tipLength=0.3)
+    tail, head = (tuple(point.astype(int).tolist()) for point in (start, start + arrow))
+    cv2.arrowedLine(image, tail, head, (120, 220, 255), 1, cv2.LINE_AA, tipLength=0.3)

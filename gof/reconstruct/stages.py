@@ -116,7 +116,7 @@ def make_still_scene(run: Run, observation: Observation) -> TransientGaussians |
     if made.exists():
         return TransientGaussians.load(made)
     options = BackgroundOptions(still_steps(settings), max(settings.gaussians, 2), seed=settings.seed)
-    still = still_gaussians(run.dataset, observation.plate, options, run.log)
+    still = still_gaussians(run.dataset, list(observation.plate), options, run.log)
     still.save(made, source=f"gof reconstruct {run.dataset.description.name}: the still scene")
     return still
 
@@ -216,7 +216,7 @@ def fit(
     )
     checkpoint = _checkpoint(run)
     spent = read_spent(checkpoint)
-    curve = CurveLog(run.out, resumed_s=spent and spent.fitting_s)
+    curve = CurveLog(run.out, resumed_s=spent.fitting_s if spent else None)
     before_s = spent.stage_s if spent else 0.0
     with (
         run.log.measure(

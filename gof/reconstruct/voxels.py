@@ -76,7 +76,7 @@ def flame_box(cameras: list[Camera], masks: np.ndarray) -> tuple[np.ndarray, np.
         center = np.array([*(corner_min + corner_max) / 2, 1.0])
         R = cameras[c].world_to_camera[:3, :3]
         ray = R.T @ np.linalg.solve(cameras[c].K, center)
-        ray /= np.linalg.norm(ray)
+        ray = ray / np.linalg.norm(ray)
         projector = np.eye(3) - np.outer(ray, ray)
         A, b = A + projector, b + projector @ cameras[c].position
     if np.linalg.cond(A) > 1e8:

@@ -41,14 +41,14 @@ class Windows:
         """
         size = np.array([cameras[0].width, cameras[0].height])
         reach = ROOM * voxels.voxel_size * np.array(np.meshgrid(*[[-1, 1]] * 3)).reshape(3, -1).T
-        low, high = [], []
+        lows, highs = [], []
         for camera in cameras:
             corners = np.concatenate([camera.project(voxels.center + step)[0] for step in reach])
             if not np.isfinite(corners).all():
                 return cls.whole(cameras)
-            low.append(np.floor(corners.min(0)) - REACH)
-            high.append(np.ceil(corners.max(0)) + REACH)
-        low, high = np.clip(low, 0, size).astype(int), np.clip(high, 0, size).astype(int)
+            lows.append(np.floor(corners.min(0)) - REACH)
+            highs.append(np.ceil(corners.max(0)) + REACH)
+        low, high = np.clip(lows, 0, size).astype(int), np.clip(highs, 0, size).astype(int)
         # Whole blocks, as long as the picture has them: others are drawn larger and cut, which costs more than drawing.
         width, height = np.minimum(-(-np.maximum((high - low).max(0), 1) // BLOCK) * BLOCK, size)
         return cls(np.minimum(low, size - (width, height)), int(width), int(height))
