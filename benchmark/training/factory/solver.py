@@ -6,6 +6,10 @@ second-order scheme (van Leer 1974), so that mass and fuel balance to rounding. 
 coefficients (Dodd and Ferrante 2014: the true density meets the last pressure) and is solved by cosine and sine
 transforms. Fuel burns with air as fast as a grid's cell mixes them (eddy dissipation; its time is that in which
 buoyancy crosses a cell). Nothing damps the motion but the scheme itself; walls are smooth and take no heat.
+
+Where it fails: a pool of 0.3 m and 33 kW, six cells wide and fed evenly, settles to a steady column. It does not puff
+(1.5/sqrt(diameter) says 2.7 Hz), so its plume mixes with no air: on the axis the gas is 0.9 to 1.2 times as fast as
+McCaffrey's law up to 0.33 m, 1.7 times at 0.78 m and 2.5 times at 1.5 m, and from 1.5 to 5 times as hot above ambient.
 """
 
 from __future__ import annotations
