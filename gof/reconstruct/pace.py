@@ -21,6 +21,7 @@ from itertools import pairwise
 import numpy as np
 
 from gof.reconstruct.flame_axis import FlameAxis
+from gof.reconstruct.flow_field import FlowField
 from gof.reconstruct.log_light import LogLight, slope
 
 GRAVITY = 9.81  # m/s2
@@ -43,6 +44,10 @@ class PaceClues:
         slenderness: the flame's radius over its length.
         texture: slope of the moving texture along the axis over its slope across; 0 for upright sheets.
         energy: how much there is to see of it, > 0: its light times the square of its seen speed, in any unit.
+        seen_fluct: RMS of the seen velocity about each voxel's mean over the clip, over `seen`, 0 to 1: 0 where all
+            goes on as it did, near 1 where nothing does. Not weighed by `Pace` yet.
+        unknown: share of the flame's pixels whose optical flow nobody trusts, 0 to 1, of the whole clip; see
+            `gof.reconstruct.observation.unknown_flow`. Not weighed by `Pace` yet.
     """
 
     seen: float
@@ -51,6 +56,8 @@ class PaceClues:
     slenderness: float
     texture: float
     energy: float
+    seen_fluct: float
+    unknown: float
 
     @classmethod
     def of(cls, axis: FlameAxis, log_light: LogLight) -> PaceClues:
@@ -61,6 +68,8 @@ class PaceClues:
             slenderness=axis.radius / axis.length,
             texture=texture_along(axis, log_light),
             energy=float(axis.mean_light.sum()) * axis.seen_speed**2,
+            seen_fluct=seen_fluctuation(log_light.field),
+            unknown=log_light.field.unknown_flow,
         )
 
     @property
@@ -114,6 +123,24 @@ def texture_along(axis: FlameAxis, log_light: LogLight) -> float:
     if total * voxels.voxel_size**2 <= ROUNDING * sum(float(frame.emission.sum()) for frame in frames):
         return float(USUAL[3])
     return float(np.sqrt(max(along, 1e-6 * total) / max(across, 1e-6 * total)))
+
+
+def seen_fluctuation(field: FlowField) -> float:
+    """RMS of the seen velocity about each voxel's mean over the clip, over its RMS; both weighted by emission.
+
+    A fast jet's seen motion is unsteady and yet its optical flow comes back to where it began.
+    Returns:
+        0 to 1; 0 where nothing moves or shines, or there is a single frame.
+    """
+    light = np.zeros(len(field.voxels.center))
+    momentum = np.zeros((len(light), 3))
+    energy = 0.0
+    for frame in field.frames:
+        light += frame.emission
+        momentum += frame.emission[:, None] * frame.velocity
+        energy += float(frame.emission @ (frame.velocity**2).sum(1))
+    steady = float(((momentum**2).sum(1) / np.where(light > 0, light, 1)).sum())
+    return float(np.sqrt(max(1 - steady / energy, 0))) if energy > 0 else 0.0
 
 
 @dataclass(frozen=True)

@@ -8,7 +8,16 @@ import pytest
 from gof.reconstruct.flame_axis import FlameAxis
 from gof.reconstruct.flow_field import FlowField
 from gof.reconstruct.log_light import LogLight
-from gof.reconstruct.pace import FARTHEST, USUAL, Pace, PaceClues, buoyant_speed, carried_speed, texture_along
+from gof.reconstruct.pace import (
+    FARTHEST,
+    USUAL,
+    Pace,
+    PaceClues,
+    buoyant_speed,
+    carried_speed,
+    seen_fluctuation,
+    texture_along,
+)
 from tests.reconstruct.plumes import box_of_voxels, field_of
 
 STEP_S = 0.01  # between the frames of field_of
@@ -79,10 +88,57 @@ def test_a_steady_flame_says_nothing_of_its_texture():
     assert texture_along(FlameAxis.of(field), LogLight.of(field)) == USUAL[3]
 
 
+def swaying(sideways: float, bands=lambda z, t: 1.0) -> FlowField:
+    """The column, whose light in four frames also goes right, left, right, left at a speed, m/s."""
+    still = column(bands=bands)
+    voxels, emission = still.voxels, still.frames[0].emission
+    velocity = [np.broadcast_to([sideways * (-1) ** f, 0, 0.5], voxels.center.shape) for f in range(4)]
+    return field_of(voxels, velocity, [emission] * 4)
+
+
+@pytest.mark.parametrize("sideways", [0.0, 0.25, 2.0])
+def test_fluctuation_of_a_column_that_sways(sideways):
+    """Its mean is the rise; what is left is the sway."""
+    assert seen_fluctuation(swaying(sideways)) == pytest.approx(sideways / np.hypot(sideways, 0.5), abs=1e-6)
+
+
+def test_fluctuation_twin():
+    """The same, voxel by voxel, of motion and light without any order."""
+    rng = np.random.default_rng(1)
+    voxels = box_of_voxels((3, 2, 4), 0.1)
+    velocity, emission = rng.normal(0.3, 1, (5, 24, 3)), rng.uniform(0, 1, (5, 24)) * (rng.random((5, 24)) > 0.3)
+    left = whole = 0.0
+    for v in range(24):
+        if not emission[:, v].any():
+            continue
+        mean = sum(e * u for e, u in zip(emission[:, v], velocity[:, v], strict=True)) / sum(emission[:, v])
+        for e, u in zip(emission[:, v], velocity[:, v], strict=True):
+            left += e * sum((u - mean) ** 2)
+            whole += e * sum(u**2)
+    assert seen_fluctuation(field_of(voxels, velocity, emission)) == pytest.approx((left / whole) ** 0.5, rel=1e-9)
+
+
+def test_nothing_fluctuates_in_a_single_frame_or_where_nothing_moves():
+    field = column()
+    assert seen_fluctuation(FlowField(field.voxels, field.frames[:1])) == pytest.approx(0, abs=1e-6)
+    assert seen_fluctuation(column(seen=0.0)) == 0
+
+
+def test_clues_hold_what_the_clip_leaves_unknown():
+    assert clues_of(replace(column(), unknown_flow=0.125)).unknown == 0.125
+    assert clues_of(swaying(0.25)).seen_fluct == pytest.approx(0.25 / np.hypot(0.25, 0.5), rel=1e-6)
+
+
+def test_a_line_of_four_clues_does_not_ask_the_two_more():
+    clues = clues_of(column(bands=rising))
+    stranger = replace(clues, seen_fluct=0.9, unknown=0.4)
+    assert PACE.of(clues) == PACE.of(stranger)
+
+
 def test_a_line_is_found_again():
     """Flames that obey a line exactly, and one far from them that obeys it too."""
     flames = [
-        PaceClues(seen, seen * law, seen * carried, slenderness, texture, 1.0)
+        PaceClues(seen, seen * law, seen * carried, slenderness, texture, 1.0, 0.2, 0.03)
         for seen, law, carried, slenderness, texture in np.random.default_rng(0).uniform(
             [0.1, 2, 0.2, 0.05, 0.3], [3, 8, 1, 0.3, 1.5], (30, 5)
         )
@@ -91,7 +147,7 @@ def test_a_line_is_found_again():
     true = [flame.seen * np.exp(line @ [1, *flame.logs]) for flame in flames]
     fitted = Pace.fit(flames, true)
     assert fitted.of(flames[0]) == pytest.approx(true[0], rel=0.05)
-    far = PaceClues(9.0, 9.0 * 12, 9.0 * 1.5, 0.04, 0.2, 1.0)
+    far = PaceClues(9.0, 9.0 * 12, 9.0 * 1.5, 0.04, 0.2, 1.0, 0.2, 0.03)
     assert fitted.of(far) == pytest.approx(far.seen * np.exp(line @ [1, *far.logs]), rel=0.1)
 
 
