@@ -1,19 +1,24 @@
-"""Learn how fast flames are as a whole from the factory's fires, and say what each clue is worth.
+"""Learn how fast flames are as a whole, and say what each clue is worth.
 
-    python -m gof_benchmark.training.pace_line WORK --fires 300
+    python -m gof_benchmark.fires WORK --split dev
+    python -m gof_benchmark.training.pace_line WORK --fires 60 [--out gof/reconstruct/flow_prior.npz]
 
-Makes the fires that WORK does not hold yet, one file each, so that the same command goes on where it was stopped; then
-fits lines in logarithms to them and prints, all as RMS of the log of estimated over true pace: a learning curve (lines
-through some fires, asked about the others), and tables of kinds and of emission laws that the line had not seen. Lines
-have the four clues that are shipped, or one or two more; beside them stand the shipped line and the buoyant clue alone,
-which learned nothing here. No weights of the product are written.
+Fires come from two places: the datasets in WORK/dev, and the factory, which bakes new ones by the generator and films
+them without Blender. What is kept of each is one small file in WORK/pace, so that the same command goes on where it was
+stopped. Lines in logarithms are fitted to them and printed, all as RMS (and mean) of the log of estimated over true
+pace: a learning curve (lines through some fires, asked about the others), and tables of kinds, of sources and of
+emission laws that a line had not seen. Lines are held near the shipped one, which dozens of fires have taught, by
+STIFFNESS; they correct its four clues, or weigh one or two more. With --out the best known set of clues is fitted to
+all of them and written into the flow prior's weights; its networks stay as they are.
 """
 
 from __future__ import annotations
 
+import resource
 import time
 from collections.abc import Callable, Iterable
 from dataclasses import asdict, dataclass
+from functools import partial
 from pathlib import Path
 
 import cv2
@@ -22,73 +27,92 @@ import tyro
 
 from gof.core.errors import GofError
 from gof.core.files import only_run_in, read_json, write_json
+from gof.dataset import Dataset
 from gof.reconstruct.flame_axis import FlameAxis
 from gof.reconstruct.flow_prior import FlowPrior
 from gof.reconstruct.log_light import LogLight
 from gof.reconstruct.observation import observe
-from gof.reconstruct.pace import STIFFNESS, PaceClues
+from gof.reconstruct.pace import STIFFNESS, Pace, PaceClues
 from gof.reconstruct.several_flames import alone, several_flames
 from gof_benchmark.training.factory.draws import Draw
 from gof_benchmark.training.factory.fire import PoorFireError, Recording, make_fire
-from gof_benchmark.training.field_score import best_constant, mean_speed, preview_field, score
+from gof_benchmark.training.field_score import best_constant, mean_speed, open_small, preview_field, score
 
 DRAWS = 20  # random choices of fires for a point of the learning curve
-SMALLEST, LEAST_LEFT = 10, 5  # fires of the curve's first point, and left to ask about at its last
+SMALLEST, LEAST_LEFT = 6, 5  # fires of the curve's first point, and left to ask about at its last
 
 
 @dataclass
 class PaceConfig:
-    """Make the factory's fires and fit the pace to them; see the module's text."""
+    """Make the factory's fires and fit the pace to them and to the dev fires; see the module's text."""
 
     work: tyro.conf.Positional[Path]
-    """Folder of the fires' clues; made if it is not there."""
-    fires: int = 300
-    """How many fires; numbers 0 to N - 1."""
+    """Folder of the benchmark's fires; clues go into its folder pace."""
+    fires: int = 60
+    """How many fires of the factory; numbers 0 to N - 1."""
 
 
 @dataclass(frozen=True)
-class BurntFire:
+class SeenFire:
     """What is kept of a fire.
 
     Attributes:
-        number, kind, law: as of `Draw`.    clues, paces: of each of its flames; true paces, m/s.
+        name: of its file.    source: "dev" or "factory".    kind: of `draws.KINDS`, or "openfoam".
+        law: of `light.LAWS`; "cycles" of a dataset.    clues, paces: of each of its flames; true paces, m/s.
     """
 
-    number: int
+    name: str
+    source: str
     kind: str
     law: str
     clues: tuple[PaceClues, ...]
     paces: tuple[float, ...]
 
     @classmethod
-    def read(cls, path: Path) -> BurntFire | None:
+    def read(cls, path: Path) -> SeenFire | None:
         """Return a fire that `keep` wrote; None when it was poor."""
         kept = read_json(path)
         if "poor" in kept:
             return None
         flames = kept["flames"]
         clues = tuple(PaceClues(**flame["clues"]) for flame in flames)
-        return cls(kept["number"], kept["kind"], kept["law"], clues, tuple(flame["pace"] for flame in flames))
+        paces = tuple(flame["pace"] for flame in flames)
+        return cls(path.stem, kept["source"], kept["kind"], kept["law"], clues, paces)
 
 
-def keep(number: int, path: Path) -> str:
-    """Burn and film a fire, run the product's stages on it, keep its clues and true paces; return a line about it."""
-    began = time.process_time()
-    draw = Draw.of(number)
-    kept = {"number": number, "kind": draw.kind, "law": draw.law}
+def keep(path: Path, traits: dict[str, str], opened: Callable[[], Recording | Dataset]) -> str:
+    """Run the product's stages on a fire, keep its clues and true paces; return a line about it."""
+    began = time.process_time(), children_s()
+    kept = dict(traits)
     try:
-        recording = make_fire(draw)
-        made = time.process_time() - began
-        kept |= seen(recording) | {"made_cpu_s": round(made, 2)}
+        kept |= seen(opened())
     except GofError as e:
         kept["poor"] = str(e)
-    kept["cpu_s"] = round(time.process_time() - began, 2)
+    kept["cpu_s"] = round(time.process_time() - began[0] + children_s() - began[1], 2)
     write_json(path, kept)
     found = ", ".join(f"{flame['pace']:.2f} m/s" for flame in kept.get("flames", ()))
-    return f"{number:5d} {draw.kind}, {draw.law}: {kept.get('poor', found)} ({kept['cpu_s']} CPU s)"
+    return f"{path.stem} {traits['kind']}, {traits['law']}: {kept.get('poor', found)} ({kept['cpu_s']} CPU s)"
 
 
-def seen(recording: Recording) -> dict:
+def children_s() -> float:
+    """Return the CPU seconds of the processes that this one started and that ended."""
+    used = resource.getrusage(resource.RUSAGE_CHILDREN)
+    return used.ru_utime + used.ru_stime
+
+
+def kind_of(spec: dict) -> str:
+    """Return the kind of fire that a dataset's spec.json describes."""
+    fire = spec["fire"]
+    if "grids" in fire:
+        return "openfoam"
+    if any(effect["name"] == "wind" for effect in spec.get("effects", ())):
+        return "wind"
+    if fire.get("jet_speed"):
+        return "jet"
+    return {"sphere": "ball", "logs": "logs"}.get(fire.get("shape", "disc"), "pool")
+
+
+def seen(recording: Recording | Dataset) -> dict:
     """Return clues and true pace of every flame, and scores of the seen field and of the best constant.
 
     Raises:
@@ -111,31 +135,54 @@ def seen(recording: Recording) -> dict:
 
 # ---- Lines ----------------------------------------------------------------------------------------------------------
 
-CLUE_SETS: dict[str, tuple[str, ...]] = {
-    "four": (),
-    "+ seen_fluct": ("seen_fluct",),
-    "+ unknown": ("unknown",),
-    "+ both": ("seen_fluct", "unknown"),
+NEAR = 1.0  # stiffness of what is held near the shipped line: as much as a fire that says "it is right"
+
+
+@dataclass(frozen=True)
+class Recipe:
+    """How a line is fitted.
+
+    Attributes:
+        more: names of clues beside the shipped four.    stiffness: of the fit, as `pace.STIFFNESS`.
+        near: whether the fit is held near the shipped line, not near 0.
+    """
+
+    more: tuple[str, ...] = ()
+    stiffness: float = NEAR
+    near: bool = True
+
+
+RECIPES = {
+    "four, anew": Recipe(stiffness=STIFFNESS, near=False),
+    "shipped, constant": Recipe(stiffness=1e6),
+    "near shipped": Recipe(),
+    "+ seen_fluct": Recipe(("seen_fluct",)),
+    "+ unknown": Recipe(("unknown",)),
+    "+ both": Recipe(("seen_fluct", "unknown")),
 }
 Line = Callable[[PaceClues], float]
 """Log of the pace over the seen speed, from clues."""
 
 
-def fitted(fires: Iterable[BurntFire], more: tuple[str, ...]) -> Line:
-    """Return the line through fires by ridge regression: the four shipped clues, and more of these names."""
+def fitted(fires: Iterable[SeenFire], recipe: Recipe, shipped: Pace) -> Line:
+    """Return the line through fires by ridge regression; its constant is free."""
     clues = [c for fire in fires for c in fire.clues]
     paces = np.array([pace for fire in fires for pace in fire.paces])
-    added = np.array([[getattr(c, name) for name in more] for c in clues]).reshape(len(clues), len(more))
+    added = np.array([[getattr(c, name) for name in recipe.more] for c in clues]).reshape(len(clues), -1)
     middle, spread = added.mean(0), added.std(0) + 1e-3
 
-    def row(c: PaceClues, values: np.ndarray) -> np.ndarray:
+    def row(c: PaceClues) -> np.ndarray:
+        values = np.array([getattr(c, name) for name in recipe.more])
         return np.concatenate([[1], c.logs, np.clip((values - middle) / spread, -3, 3)])
 
-    design = np.stack([row(c, values) for c, values in zip(clues, added, strict=True)])
-    factor = np.log(paces / [c.seen for c in clues])
-    penalty = STIFFNESS * np.diag([1e-6] + [1] * (design.shape[1] - 1))
-    weights = np.linalg.solve(design.T @ design + penalty, design.T @ factor)
-    return lambda c: float(weights @ row(c, np.array([getattr(c, name) for name in more])))
+    design = np.stack([row(c) for c in clues])
+    begin = np.zeros(design.shape[1])
+    if recipe.near:
+        begin[: len(shipped.metric)] = shipped.metric
+    factor = np.log(paces / [c.seen for c in clues]) - design @ begin
+    penalty = recipe.stiffness * np.diag([1e-6 / recipe.stiffness] + [1] * (design.shape[1] - 1))
+    weights = begin + np.linalg.solve(design.T @ design + penalty, design.T @ factor)
+    return lambda c: float(weights @ row(c))
 
 
 def buoyancy_alone(c: PaceClues) -> float:
@@ -143,7 +190,7 @@ def buoyancy_alone(c: PaceClues) -> float:
     return float(np.log(max(c.buoyant, 1e-9) / c.seen))
 
 
-def errors(line: Line, fire: BurntFire) -> np.ndarray:
+def errors(line: Line, fire: SeenFire) -> np.ndarray:
     """Return the log of estimated over true pace of each flame; flames side by side share a multiple of buoyancy.
 
     The same joining as `Pace.side_by_side`, for any line.
@@ -163,27 +210,26 @@ def rms(values: Iterable[np.ndarray]) -> float:
 # ---- Tables ---------------------------------------------------------------------------------------------------------
 
 
-def learning_curve(fires: list[BurntFire]) -> str:
+def learning_curve(fires: list[SeenFire], shipped: Pace) -> str:
     """Return Markdown: RMS on the fires left, by how many were learned from, means of random choices."""
-    lines = [f"| fires | {' | '.join(CLUE_SETS)} |", "|---|" + "---|" * len(CLUE_SETS)]
+    lines = [f"| fires | {' | '.join(RECIPES)} |", "|---|" + "---|" * len(RECIPES)]
     count = SMALLEST
     while count <= len(fires) - LEAST_LEFT:
-        off = {name: [] for name in CLUE_SETS}
+        off = {name: [] for name in RECIPES}
         for draw in range(DRAWS):
             order = np.random.default_rng(draw).permutation(len(fires))
             known, left = ([fires[i] for i in part] for part in (order[:count], order[count:]))
-            for name, more in CLUE_SETS.items():
-                line = fitted(known, more)
+            for name, recipe in RECIPES.items():
+                line = fitted(known, recipe, shipped)
                 off[name].append(rms(errors(line, fire) for fire in left))
-        lines.append(f"| {count} | {' | '.join(f'{np.mean(off[name]):.3f}' for name in CLUE_SETS)} |")
+        lines.append(f"| {count} | {' | '.join(f'{np.mean(off[name]):.3f}' for name in RECIPES)} |")
         count *= 2
     return "\n".join(lines)
 
 
-def left_out(fires: list[BurntFire], trait: Callable[[BurntFire], str]) -> str:
+def left_out(fires: list[SeenFire], trait: Callable[[SeenFire], str], shipped: Pace) -> str:
     """Return Markdown: RMS (and mean) of each group of fires by lines that no fire of that group was fitted to."""
-    shipped = FlowPrior.load().pace
-    columns = ["shipped", "buoyant alone", *CLUE_SETS]
+    columns = ["shipped", "buoyant alone", *RECIPES]
     lines = [f"| left out | fires | {' | '.join(columns)} |", "|---|---|" + "---|" * len(columns)]
     everything = {name: [] for name in columns}
     for group in sorted({trait(fire) for fire in fires}):
@@ -191,7 +237,7 @@ def left_out(fires: list[BurntFire], trait: Callable[[BurntFire], str]) -> str:
         if not others:
             continue
         known = {"shipped": lambda c: float(np.log(shipped.of(c) / c.seen)), "buoyant alone": buoyancy_alone}
-        known |= {name: fitted(others, more) for name, more in CLUE_SETS.items()}
+        known |= {name: fitted(others, recipe, shipped) for name, recipe in RECIPES.items()}
         cells = []
         for name in columns:
             off = [errors(known[name], fire) for fire in mine]
@@ -207,22 +253,32 @@ def main(argv: list[str] | None = None) -> None:
     """Make what is missing, fit, print."""
     config = tyro.cli(PaceConfig, prog="python -m gof_benchmark.training.pace_line", args=argv)
     cv2.setNumThreads(1)  # a fire is too small to share
-    config.work.mkdir(parents=True, exist_ok=True)
-    paths = [config.work / f"{number:05d}.json" for number in range(config.fires)]
-    with only_run_in(config.work):
-        for number, path in enumerate(paths):
-            if not path.exists():
-                print(keep(number, path), flush=True)
+    folder = config.work / "pace"
+    folder.mkdir(parents=True, exist_ok=True)
+    paths = []
+    with only_run_in(folder):
+        for dataset in sorted(path.parent for path in (config.work / "dev").glob("*/dataset.json")):
+            paths.append(folder / f"{dataset.name}.json")
+            if not paths[-1].exists():
+                traits = {"source": "dev", "kind": kind_of(read_json(dataset / "spec.json")), "law": "cycles"}
+                print(keep(paths[-1], traits, partial(open_small, dataset)), flush=True)
+        for draw in map(Draw.of, range(config.fires)):
+            paths.append(folder / f"{draw.spec.name}.json")
+            if not paths[-1].exists():
+                traits = {"source": "factory", "kind": draw.kind, "law": draw.law}
+                print(keep(paths[-1], traits, partial(make_fire, draw)), flush=True)
     report(paths)
 
 
 def report(paths: list[Path]) -> None:
     """Print the tables of the fires kept at paths."""
-    kept = [BurntFire.read(path) for path in paths]
+    kept = [SeenFire.read(path) for path in paths]
     fires = [fire for fire in kept if fire is not None]
     cost = np.mean([read_json(path)["cpu_s"] for path in paths])
+    shipped = FlowPrior.load().pace
     print(f"{len(fires)} fires, {len(kept) - len(fires)} poor ones left away; {cost:.1f} CPU s each")
-    print(learning_curve(fires), left_out(fires, lambda f: f.kind), left_out(fires, lambda f: f.law), sep="\n\n")
+    tables = [left_out(fires, trait, shipped) for trait in (lambda f: f.kind, lambda f: f.source, lambda f: f.law)]
+    print(learning_curve(fires, shipped), *tables, sep="\n\n")
 
 
 if __name__ == "__main__":

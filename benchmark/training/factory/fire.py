@@ -4,16 +4,19 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
+from tempfile import TemporaryDirectory
 
 import numpy as np
 
 from gof.core.cameras import Camera
 from gof.core.description import held_out
 from gof.core.errors import GofError
-from gof.core.fields import VelocityField
+from gof.core.fields import GridSequence, VelocityField, VelocitySequence, open_array
+from gof_benchmark.generator.blender_process import run_stage
 from gof_benchmark.training.factory.draws import Draw
 from gof_benchmark.training.factory.light import emission
 from gof_benchmark.training.factory.pictures import around, developed, gathered, still_scene
+from gof_blender.pure.layout import Layout
 
 FAINT = 0.05  # of the bright cells' light: what is dimmer is not what the cameras are turned to
 LEAVING = 0.5  # of the brightest layer's light: a flame with more in the top layer leaves the box
@@ -85,9 +88,9 @@ def make_fire(draw: Draw) -> Recording:
 
     Raises:
         PoorFireError: it went out, or left its box.
+        GofError: its bake failed.
     """
-    light, velocity = burn(draw)
-    matrix = draw.gas.box.index_to_world
+    light, velocity, matrix = burn(draw)
     lit = _lit(light)
     low, high = np.argwhere(lit).min(0), np.argwhere(lit).max(0) + 1
     rng = np.random.default_rng([2208, draw.number])
@@ -95,7 +98,8 @@ def make_fire(draw: Draw) -> Recording:
     cameras = around(
         origin + cell * low, origin + cell * high, draw.azimuth_deg, draw.height_deg, draw.away, draw.longest_px
     )
-    times = np.arange(draw.frames) / draw.rate_hz
+    clip = draw.spec.clip
+    times = np.arange(clip.frames) / clip.fps
     clear = [gathered(camera, light, matrix) for camera in cameras]
     bright = np.quantile(np.concatenate([c[c > 0.02 * c.max()] for c in clear]), 0.9)
     if draw.thickness:  # a ray through the bright part has that optical depth
@@ -109,22 +113,26 @@ def make_fire(draw: Draw) -> Recording:
         statics.append(next(developed(left, draw.colour, plate, 0.0, rng)))
         images.append(np.stack(list(developed(seen, draw.colour, plate, draw.noise, rng))))
     truth = TrueVelocity(times, velocity, matrix)
-    train = list(held_out(draw.frames).train)
+    train = list(held_out(clip.frames).train)
     return Recording(Path(f"fire_{draw.number:05d}"), cameras, times, train, statics, images, truth)
 
 
-def burn(draw: Draw) -> tuple[np.ndarray, np.ndarray]:
-    """Return light (F, X, Y, Z) float32, any unit, and velocity (F, X, Y, Z, 3) float16 m/s. Raises as `make_fire`."""
-    gas = draw.gas
-    gas.run_to(draw.warm_s)
-    light, velocity = [], []
-    for frame in range(draw.frames):
-        gas.run_to(draw.warm_s + frame / draw.rate_hz)
-        light.append(emission(gas, draw.law, draw.sharpness_k))
-        velocity.append(gas.velocity.astype(np.float16))
-    if not np.isfinite(gas.velocity).all():
-        raise PoorFireError(f"fire {draw.number}: its gas is not finite")
-    return np.stack(light), np.stack(velocity)
+def burn(draw: Draw) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Bake a fire by the generator; keep nothing of it on disk.
+
+    Returns:
+        light (F, X, Y, Z) float32, any unit; velocity (F, X, Y, Z, 3) float16 m/s; `index_to_world`.
+    """
+    with TemporaryDirectory(prefix="gof-fire-") as folder:
+        layout = Layout(Path(folder) / draw.spec.name)
+        layout.claim(draw.spec)
+        for stage in ("bake", "ground-truth"):
+            run_stage(stage, layout.root)
+        velocity = VelocitySequence.open(layout.velocity)
+        flame, heat = (GridSequence(open_array(layout.grid(name)), name) for name in ("flame", "heat"))
+        frames = range(draw.spec.clip.frames)
+        burning, hot, gas = (np.stack([grid.cells(f) for f in frames]) for grid in (flame, heat, velocity))
+        return emission(draw.law, burning, hot), gas.astype(np.float16), velocity.index_to_world
 
 
 def _lit(light: np.ndarray) -> np.ndarray:

@@ -1,4 +1,4 @@
-"""How gas shines: four laws, because light is not the same function of gas in every solver, nor in every fuel."""
+"""How the baked gas shines: four laws, because light is not the same function of gas in every solver and fuel."""
 
 from __future__ import annotations
 
@@ -6,32 +6,20 @@ from typing import Literal, get_args
 
 import numpy as np
 
-from gof_benchmark.training.factory.solver import Gas
-
-Law = Literal["reaction", "algebraic_soot", "carried_soot", "sheets"]
+Law = Literal["soot", "reaction", "sheets", "glow"]
 LAWS: tuple[Law, ...] = get_args(Law)
-USUAL_K = 1500.0  # gas as hot has a glow of 1
+AMBIENT_K, HOTTEST_K = 293.0, 2000.0
+SHARPNESS_K = 12_000.0  # of the glow: exp(-SHARPNESS_K / T), between red light's 24 000 K and the heat's
 
 
-def emission(gas: Gas, law: Law, sharpness_k: float = 12_000.0) -> np.ndarray:
-    """Return how brightly the gas shines, (X, Y, Z) float32 >= 0 in a unit of the law's own.
+def emission(law: Law, flame: np.ndarray, heat: np.ndarray) -> np.ndarray:
+    """Return how brightly the gas shines, float32 >= 0 in a unit of the law's own, in the shape of the grids.
 
+    - soot, sheets: the light of the spec's own soot, thick or in thin sheets, which its grid `flame` holds;
     - reaction: as much as it burns;
-    - algebraic_soot: glowing soot wherever hot gas is rich, more the richer it is;
-    - carried_soot: glowing soot that rich gas has made, that is carried away, and burns off where it is lean;
-    - sheets: a thin hot layer where fuel and air are in balance.
-
-    Args:
-        sharpness_k: how steeply the glow grows with heat: exp(sharpness (1/1500 K - 1/T)); 24 000 K for green light.
+    - glow: as hot as it is, burnt or not, so that light is carried away with the gas and cools there.
     """
-    if law == "reaction":
-        return gas.heat.copy()
-    balance = gas.chemistry.stoichiometric
-    hot = gas.temperature
-    if law == "sheets":
-        slope = np.linalg.norm(np.gradient(gas.mixture), axis=0)  # per cell
-        off = (gas.mixture - balance) / (0.6 * slope + 0.02 * balance)
-        return (np.exp(-(off**2)) * np.clip((hot - 700) / 500, 0, 1)).astype(np.float32)
-    glow = np.exp(sharpness_k * (1 / USUAL_K - 1 / hot))
-    soot = gas.soot if law == "carried_soot" else np.clip((gas.mixture - 0.7 * balance) / balance, 0, 2)
-    return (soot * glow).astype(np.float32)
+    if law != "glow":
+        return np.maximum(flame, 0).astype(np.float32)
+    kelvin = AMBIENT_K + (HOTTEST_K - AMBIENT_K) * heat.astype(np.float32) / max(float(heat.max()), 1e-6)
+    return np.exp(SHARPNESS_K * (1 / HOTTEST_K - 1 / np.maximum(kelvin, AMBIENT_K))).astype(np.float32)
