@@ -4,20 +4,19 @@
     python -m gof_benchmark.training.pace_line WORK --fires 60 [--out gof/reconstruct/flow_prior.npz]
 
 Fires come from two places: the datasets in WORK/dev, and the factory, which bakes new ones by the generator and films
-them without Blender. What is kept of each is one small file in WORK/pace, so that the same command goes on where it was
+them without Cycles. What is kept of each is one small file in WORK/pace, so that the same command goes on where it was
 stopped. Lines in logarithms are fitted to them and printed, all as RMS (and mean) of the log of estimated over true
-pace: a learning curve (lines through some fires, asked about the others), and tables of kinds, of sources and of
-emission laws that a line had not seen. Lines are held near the shipped one, which dozens of fires have taught, by
-STIFFNESS; they correct its four clues, or weigh one or two more. With --out the best known set of clues is fitted to
-all of them and written into the flow prior's weights; its networks stay as they are.
+pace: a learning curve (lines through some fires, asked about the others), and tables of kinds, sources and emission
+laws that a line had not seen. With --out the last of `LINES`, fitted to all of them, goes into the flow prior's
+weights; its networks stay as they are.
 """
 
 from __future__ import annotations
 
 import resource
 import time
-from collections.abc import Callable, Iterable
-from dataclasses import asdict, dataclass
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import asdict, dataclass, replace
 from functools import partial
 from pathlib import Path
 
@@ -26,17 +25,17 @@ import numpy as np
 import tyro
 
 from gof.core.errors import GofError
-from gof.core.files import only_run_in, read_json, write_json
+from gof.core.files import atomic_path, only_run_in, read_json, write_json
 from gof.dataset import Dataset
 from gof.reconstruct.flame_axis import FlameAxis
 from gof.reconstruct.flow_prior import FlowPrior
 from gof.reconstruct.log_light import LogLight
 from gof.reconstruct.observation import observe
-from gof.reconstruct.pace import STIFFNESS, Pace, PaceClues
+from gof.reconstruct.pace import STIFFNESS, USUAL, Pace, PaceClues
 from gof.reconstruct.several_flames import alone, several_flames
 from gof_benchmark.training.factory.draws import Draw
 from gof_benchmark.training.factory.fire import PoorFireError, Recording, make_fire
-from gof_benchmark.training.field_score import best_constant, mean_speed, open_small, preview_field, score
+from gof_benchmark.training.field_score import mean_speed, open_small, preview_field
 
 DRAWS = 20  # random choices of fires for a point of the learning curve
 SMALLEST, LEAST_LEFT = 6, 5  # fires of the curve's first point, and left to ask about at its last
@@ -50,6 +49,8 @@ class PaceConfig:
     """Folder of the benchmark's fires; clues go into its folder pace."""
     fires: int = 60
     """How many fires of the factory; numbers 0 to N - 1."""
+    out: Path | None = None
+    """Where the flow prior with the line that they teach goes."""
 
 
 @dataclass(frozen=True)
@@ -85,7 +86,7 @@ def keep(path: Path, traits: dict[str, str], opened: Callable[[], Recording | Da
     began = time.process_time(), children_s()
     kept = dict(traits)
     try:
-        kept |= seen(opened())
+        kept["flames"] = seen(opened())
     except GofError as e:
         kept["poor"] = str(e)
     kept["cpu_s"] = round(time.process_time() - began[0] + children_s() - began[1], 2)
@@ -112,14 +113,14 @@ def kind_of(spec: dict) -> str:
     return {"sphere": "ball", "logs": "logs"}.get(fire.get("shape", "disc"), "pool")
 
 
-def seen(recording: Recording | Dataset) -> dict:
-    """Return clues and true pace of every flame, and scores of the seen field and of the best constant.
+def seen(fire: Recording | Dataset) -> list[dict]:
+    """Return clues and true pace of every flame of a fire.
 
     Raises:
         GofError: the stages find no flame, or nothing that moves.
     """
-    field = preview_field(observe(recording))
-    truth = np.stack([recording.velocity.at(frame.time_s).sample(field.voxels.center) for frame in field.frames])
+    field = preview_field(observe(fire))
+    truth = np.stack([fire.velocity.at(frame.time_s).sample(field.voxels.center) for frame in field.frames])
     own = several_flames(field)
     flames = []
     for part in (alone(field, own == k) for k in range(own.max() + 1)):
@@ -128,78 +129,66 @@ def seen(recording: Recording | Dataset) -> dict:
             flames.append({"clues": asdict(PaceClues.of(axis, LogLight.of(part))), "pace": pace})
     if not flames:
         raise PoorFireError("nothing is seen to move")
-    constant = score(best_constant(field, recording), recording)
-    scores = {"seen": asdict(score(field, recording)), "constant": asdict(constant)}
-    return {"flames": flames, "scores": scores}
+    return flames
 
 
 # ---- Lines ----------------------------------------------------------------------------------------------------------
 
-NEAR = 1.0  # stiffness of what is held near the shipped line: as much as a fire that says "it is right"
+TAUGHT = Pace(
+    np.array([0.6425, 0.6806, -0.2229, 0.2734, -0.4485, 0.0]), np.array([0.5872, 0.0, 0.4048, 0.4928, -0.6434, 0.0])
+)
+"""The line of four clues that 34 dev fires of two solvers, rendered by Cycles, have taught."""
+NEW = 5  # which of a line's weights is that of the clue which TAUGHT does not weigh
 
 
-@dataclass(frozen=True)
-class Recipe:
-    """How a line is fitted.
-
-    Attributes:
-        more: names of clues beside the shipped four.    stiffness: of the fit, as `pace.STIFFNESS`.
-        near: whether the fit is held near the shipped line, not near 0.
-    """
-
-    more: tuple[str, ...] = ()
-    stiffness: float = NEAR
-    near: bool = True
+def anew(fires: Sequence[SeenFire]) -> Pace:
+    """Return the line of all clues through these fires alone."""
+    return Pace.fit(*examples(fires))
 
 
-RECIPES = {
-    "four, anew": Recipe(stiffness=STIFFNESS, near=False),
-    "shipped, constant": Recipe(stiffness=1e6),
-    "near shipped": Recipe(),
-    "+ seen_fluct": Recipe(("seen_fluct",)),
-    "+ unknown": Recipe(("unknown",)),
-    "+ both": Recipe(("seen_fluct", "unknown")),
+def moved(fires: Sequence[SeenFire]) -> Pace:
+    """Return `TAUGHT` with the constant that these fires ask for."""
+    return added_to_taught(fires, ())
+
+
+def with_new_clue(fires: Sequence[SeenFire]) -> Pace:
+    """Return `TAUGHT` with the constant and the weight of the new clue that these fires ask for."""
+    return added_to_taught(fires, (NEW,))
+
+
+def added_to_taught(fires: Sequence[SeenFire], which: tuple[int, ...]) -> Pace:
+    """Return `TAUGHT` with its constant and these of its weights fitted to what it leaves, by ridge regression."""
+    clues, speed = examples(fires)
+    free = [0, *which]
+    design = np.stack([[1, *flame.logs] for flame in clues])[:, free]
+    penalty = STIFFNESS * np.diag([1e-6] + [1] * len(which))
+    lines = []
+    for weights, metres in ((TAUGHT.metric, True), (TAUGHT.unitless, False)):
+        left = np.log(speed) - np.log([TAUGHT.of(flame, metres) for flame in clues])
+        line = weights.copy()
+        line[free] += np.linalg.solve(design.T @ design + penalty, design.T @ left)
+        lines.append(line)
+    return Pace(*lines)
+
+
+def examples(fires: Sequence[SeenFire]) -> tuple[list[PaceClues], list[float]]:
+    """Return clues and true pace of all flames of these fires."""
+    return [c for fire in fires for c in fire.clues], [pace for fire in fires for pace in fire.paces]
+
+
+LINES: dict[str, Callable[[Sequence[SeenFire]], Pace]] = {
+    "taught": lambda fires: TAUGHT,
+    "buoyancy": lambda fires: Pace(*[np.array([np.log(USUAL[0]), 1.0, 0, 0, 0, 0])] * 2),
+    "anew": anew,
+    "moved": moved,
+    "with the new clue": with_new_clue,
 }
-Line = Callable[[PaceClues], float]
-"""Log of the pace over the seen speed, from clues."""
+"""What may be done with fires whose pace is known; the first two learn nothing from them."""
 
 
-def fitted(fires: Iterable[SeenFire], recipe: Recipe, shipped: Pace) -> Line:
-    """Return the line through fires by ridge regression; its constant is free."""
-    clues = [c for fire in fires for c in fire.clues]
-    paces = np.array([pace for fire in fires for pace in fire.paces])
-    added = np.array([[getattr(c, name) for name in recipe.more] for c in clues]).reshape(len(clues), -1)
-    middle, spread = added.mean(0), added.std(0) + 1e-3
-
-    def row(c: PaceClues) -> np.ndarray:
-        values = np.array([getattr(c, name) for name in recipe.more])
-        return np.concatenate([[1], c.logs, np.clip((values - middle) / spread, -3, 3)])
-
-    design = np.stack([row(c) for c in clues])
-    begin = np.zeros(design.shape[1])
-    if recipe.near:
-        begin[: len(shipped.metric)] = shipped.metric
-    factor = np.log(paces / [c.seen for c in clues]) - design @ begin
-    penalty = recipe.stiffness * np.diag([1e-6 / recipe.stiffness] + [1] * (design.shape[1] - 1))
-    weights = begin + np.linalg.solve(design.T @ design + penalty, design.T @ factor)
-    return lambda c: float(weights @ row(c))
-
-
-def buoyancy_alone(c: PaceClues) -> float:
-    """Return the log of what buoyancy would make of a flame over its seen speed: nothing is fitted."""
-    return float(np.log(max(c.buoyant, 1e-9) / c.seen))
-
-
-def errors(line: Line, fire: SeenFire) -> np.ndarray:
-    """Return the log of estimated over true pace of each flame; flames side by side share a multiple of buoyancy.
-
-    The same joining as `Pace.side_by_side`, for any line.
-    """
-    apart = np.array([np.log(c.seen) + line(c) for c in fire.clues])
-    buoyant = np.log([c.buoyant for c in fire.clues])
-    if len(apart) > 1 and np.isfinite(buoyant).all():
-        apart = buoyant + np.average(apart - buoyant, weights=[c.energy for c in fire.clues])
-    return apart - np.log(fire.paces)
+def errors(pace: Pace, fire: SeenFire) -> np.ndarray:
+    """Return the log of estimated over true pace of each flame."""
+    return np.log(pace.side_by_side(fire.clues)) - np.log(fire.paces)
 
 
 def rms(values: Iterable[np.ndarray]) -> float:
@@ -210,42 +199,40 @@ def rms(values: Iterable[np.ndarray]) -> float:
 # ---- Tables ---------------------------------------------------------------------------------------------------------
 
 
-def learning_curve(fires: list[SeenFire], shipped: Pace) -> str:
+def learning_curve(fires: Sequence[SeenFire]) -> str:
     """Return Markdown: RMS on the fires left, by how many were learned from, means of random choices."""
-    lines = [f"| fires | {' | '.join(RECIPES)} |", "|---|" + "---|" * len(RECIPES)]
+    lines = [f"| fires | {' | '.join(LINES)} |", "|---|" + "---|" * len(LINES)]
     count = SMALLEST
     while count <= len(fires) - LEAST_LEFT:
-        off = {name: [] for name in RECIPES}
+        off = {name: [] for name in LINES}
         for draw in range(DRAWS):
             order = np.random.default_rng(draw).permutation(len(fires))
             known, left = ([fires[i] for i in part] for part in (order[:count], order[count:]))
-            for name, recipe in RECIPES.items():
-                line = fitted(known, recipe, shipped)
-                off[name].append(rms(errors(line, fire) for fire in left))
-        lines.append(f"| {count} | {' | '.join(f'{np.mean(off[name]):.3f}' for name in RECIPES)} |")
+            for name, line in LINES.items():
+                pace = line(known)
+                off[name].append(rms(errors(pace, fire) for fire in left))
+        lines.append(f"| {count} | {' | '.join(f'{np.mean(off[name]):.3f}' for name in LINES)} |")
         count *= 2
     return "\n".join(lines)
 
 
-def left_out(fires: list[SeenFire], trait: Callable[[SeenFire], str], shipped: Pace) -> str:
+def left_out(fires: Sequence[SeenFire], trait: Callable[[SeenFire], str]) -> str:
     """Return Markdown: RMS (and mean) of each group of fires by lines that no fire of that group was fitted to."""
-    columns = ["shipped", "buoyant alone", *RECIPES]
-    lines = [f"| left out | fires | {' | '.join(columns)} |", "|---|---|" + "---|" * len(columns)]
-    everything = {name: [] for name in columns}
+    lines = [f"| left out | fires | {' | '.join(LINES)} |", "|---|---|" + "---|" * len(LINES)]
+    everything = {name: [] for name in LINES}
     for group in sorted({trait(fire) for fire in fires}):
         mine, others = [f for f in fires if trait(f) == group], [f for f in fires if trait(f) != group]
         if not others:
             continue
-        known = {"shipped": lambda c: float(np.log(shipped.of(c) / c.seen)), "buoyant alone": buoyancy_alone}
-        known |= {name: fitted(others, recipe, shipped) for name, recipe in RECIPES.items()}
         cells = []
-        for name in columns:
-            off = [errors(known[name], fire) for fire in mine]
+        for name, line in LINES.items():
+            pace = line(others)
+            off = [errors(pace, fire) for fire in mine]
             everything[name] += off
             cells.append(f"{rms(off):.3f} ({np.mean(np.concatenate(off)):+.2f})")
         lines.append(f"| {group} | {len(mine)} | {' | '.join(cells)} |")
     if all(everything.values()):
-        lines.append(f"| all | {len(fires)} | {' | '.join(f'{rms(everything[name]):.3f}' for name in columns)} |")
+        lines.append(f"| all | {len(fires)} | {' | '.join(f'{rms(everything[name]):.3f}' for name in LINES)} |")
     return "\n".join(lines)
 
 
@@ -267,18 +254,23 @@ def main(argv: list[str] | None = None) -> None:
             if not paths[-1].exists():
                 traits = {"source": "factory", "kind": draw.kind, "law": draw.law}
                 print(keep(paths[-1], traits, partial(make_fire, draw)), flush=True)
-    report(paths)
+    fires = report(paths)
+    if config.out:
+        pace = list(LINES.values())[-1](fires)
+        with atomic_path(config.out) as temporary:
+            replace(FlowPrior.load(), pace=pace).save(temporary)
+        print(f"pace: metric {pace.metric.round(3)}, unitless {pace.unitless.round(3)} -> {config.out}")
 
 
-def report(paths: list[Path]) -> None:
-    """Print the tables of the fires kept at paths."""
+def report(paths: list[Path]) -> list[SeenFire]:
+    """Print the tables of the fires kept at paths, and return those that are not poor."""
     kept = [SeenFire.read(path) for path in paths]
     fires = [fire for fire in kept if fire is not None]
     cost = np.mean([read_json(path)["cpu_s"] for path in paths])
-    shipped = FlowPrior.load().pace
     print(f"{len(fires)} fires, {len(kept) - len(fires)} poor ones left away; {cost:.1f} CPU s each")
-    tables = [left_out(fires, trait, shipped) for trait in (lambda f: f.kind, lambda f: f.source, lambda f: f.law)]
-    print(learning_curve(fires, shipped), *tables, sep="\n\n")
+    tables = [left_out(fires, trait) for trait in (lambda f: f.kind, lambda f: f.source, lambda f: f.law)]
+    print(learning_curve(fires), *tables, sep="\n\n")
+    return fires
 
 
 if __name__ == "__main__":

@@ -9,7 +9,7 @@ import numpy as np
 
 from gof.reconstruct.fusion import fuse_frame
 from gof.reconstruct.methods import Method
-from gof.reconstruct.observation import Observation, unknown_flow
+from gof.reconstruct.observation import Observation
 from gof.reconstruct.tomography import tomography
 from gof.reconstruct.voxels import FlameVoxels, carve
 
@@ -42,15 +42,10 @@ class FrameField:
 
 @dataclass(frozen=True)
 class FlowField:
-    """The training frames of a clip, in order of time, all on the same voxels.
-
-    Attributes:
-        unknown_flow: of the clip that it was seen in, see `gof.reconstruct.observation.unknown_flow`.
-    """
+    """The training frames of a clip, in order of time, all on the same voxels."""
 
     voxels: FlameVoxels
     frames: tuple[FrameField, ...]
-    unknown_flow: float = 0.0
 
     @property
     def emission(self) -> np.ndarray:
@@ -94,7 +89,7 @@ def seen_flow_field(
         )
         if progress:
             progress(f + 1, len(observation.frames))
-    return FlowField(voxels, tuple(frames), unknown_flow(observation.flow, observation.mask))
+    return FlowField(voxels, tuple(frames))
 
 
 def frame_light(observation: Observation) -> np.ndarray:

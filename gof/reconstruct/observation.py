@@ -165,19 +165,6 @@ def _unknown(picture: np.ndarray) -> np.ndarray:
     return np.full((*picture.shape[:2], 2), np.nan, np.float32)
 
 
-def unknown_flow(flow: np.ndarray, mask: np.ndarray) -> float:
-    """Share of the flame's pixels without a trustworthy flow: there and back it does not come home, or has no
-    neighbour.
-
-    Args:
-        flow: (F, C, H, W, 2) px/s, NaN where unknown.    mask: (F, C, H, W) bool, where flame may be.
-    Returns:
-        0 to 1; 0 where there is no flame at all.
-    """
-    pixels = np.count_nonzero(mask)
-    return float(np.count_nonzero(mask & np.isnan(flow[..., 0])) / pixels) if pixels else 0.0
-
-
 def flow_masks(flow: np.ndarray, frame_time_s: float) -> tuple[np.ndarray, np.ndarray]:
     """Where something moves by more than `MOVING_PX` a frame, (...) bool, and the same grown (authors of the paper).
 

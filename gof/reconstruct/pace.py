@@ -2,14 +2,16 @@
 
 Texture lags behind the gas by a factor that is much the same all over one flame and differs from flame to flame: 0.8 to
 4 on the benchmark's. A clip says little of it, and a hundred flames are not at hand to learn it from, so it is a
-straight line in logarithms through four clues that physics names:
+straight line in logarithms through five clues that physics names:
 
 - what buoyancy would make of a flame of this length, if lengths are metres: hot gas cannot choose its speed;
 - how slender the flame is: a jet is faster than buoyancy, and a squat flame that is fed from all sides slower;
 - how much of the seen motion carries its texture with it: where light rather goes out and on again in place, optical
   flow reads much of that as motion, and the gas is slower than it looks;
 - how upright the moving texture is: smooth sheets that stand along the flow hide its speed (the aperture problem), and
-  the gas is faster than it looks.
+  the gas is faster than it looks;
+- how unsteady the seen motion is: where it changes from frame to frame, its mean is but a part of the gas' speed, as in
+  a fast jet, whose texture is mixed away while it is looked at.
 """
 
 from __future__ import annotations
@@ -26,7 +28,8 @@ from gof.reconstruct.log_light import LogLight, slope
 
 GRAVITY = 9.81  # m/s2
 LAW = 2.18  # of sqrt(g z): McCaffrey's 6.83 sqrt(z) on the axis of the continuous flame (NBSIR 79-1910)
-USUAL = np.array([4.0, 0.14, 0.6, 0.7])  # of the clues; logarithms are taken from there
+USUAL = np.array([4.0, 0.14, 0.6, 0.7, 0.16])  # of the clues; logarithms are taken from there
+FEWEST = 3  # frames that say how unsteady a motion is
 FARTHEST = np.log(4.0)  # a clue stranger than that counts no more: no flame of the benchmark is
 STIFFNESS = 0.05  # of the fit: as much as a twentieth of a flame that says "all clues mean nothing"
 ROUNDING = 1e-20  # mean square of differences of logarithms that are nothing but rounding
@@ -44,10 +47,8 @@ class PaceClues:
         slenderness: the flame's radius over its length.
         texture: slope of the moving texture along the axis over its slope across; 0 for upright sheets.
         energy: how much there is to see of it, > 0: its light times the square of its seen speed, in any unit.
-        seen_fluct: RMS of the seen velocity about each voxel's mean over the clip, over `seen`, 0 to 1: 0 where all
-            goes on as it did, near 1 where nothing does. Not weighed by `Pace` yet.
-        unknown: share of the flame's pixels whose optical flow nobody trusts, 0 to 1, of the whole clip; see
-            `gof.reconstruct.observation.unknown_flow`. Not weighed by `Pace` yet.
+        unsteady: RMS of the seen velocity about each voxel's mean over the clip, over `seen`, 0 to 1: 0 where all goes
+            on as it did, near 1 where nothing does.
     """
 
     seen: float
@@ -56,8 +57,7 @@ class PaceClues:
     slenderness: float
     texture: float
     energy: float
-    seen_fluct: float
-    unknown: float
+    unsteady: float
 
     @classmethod
     def of(cls, axis: FlameAxis, log_light: LogLight) -> PaceClues:
@@ -68,14 +68,14 @@ class PaceClues:
             slenderness=axis.radius / axis.length,
             texture=texture_along(axis, log_light),
             energy=float(axis.mean_light.sum()) * axis.seen_speed**2,
-            seen_fluct=seen_fluctuation(log_light.field),
-            unknown=log_light.field.unknown_flow,
+            unsteady=unsteadiness(log_light.field),
         )
 
     @property
     def logs(self) -> np.ndarray:
-        """(4,) logarithms over the usual: buoyant over seen, slenderness, carried over seen, texture."""
-        ratios = np.array([self.buoyant / self.seen, self.slenderness, self.carried / self.seen, self.texture])
+        """(5,) logarithms over the usual: buoyant over seen, slenderness, carried over seen, texture, unsteadiness."""
+        over_seen = self.buoyant / self.seen, self.carried / self.seen
+        ratios = np.array([over_seen[0], self.slenderness, over_seen[1], self.texture, self.unsteady])
         return np.clip(np.log(np.maximum(ratios, 1e-9) / USUAL), -FARTHEST, FARTHEST)
 
 
@@ -125,12 +125,11 @@ def texture_along(axis: FlameAxis, log_light: LogLight) -> float:
     return float(np.sqrt(max(along, 1e-6 * total) / max(across, 1e-6 * total)))
 
 
-def seen_fluctuation(field: FlowField) -> float:
+def unsteadiness(field: FlowField) -> float:
     """RMS of the seen velocity about each voxel's mean over the clip, over its RMS; both weighted by emission.
 
-    A fast jet's seen motion is unsteady and yet its optical flow comes back to where it began.
     Returns:
-        0 to 1; 0 where nothing moves or shines, or there is a single frame.
+        0 to 1; `USUAL` where nothing moves or shines, or there are fewer than `FEWEST` frames.
     """
     light = np.zeros(len(field.voxels.center))
     momentum = np.zeros((len(light), 3))
@@ -139,8 +138,10 @@ def seen_fluctuation(field: FlowField) -> float:
         light += frame.emission
         momentum += frame.emission[:, None] * frame.velocity
         energy += float(frame.emission @ (frame.velocity**2).sum(1))
+    if len(field.frames) < FEWEST or energy <= 0:
+        return float(USUAL[4])
     steady = float(((momentum**2).sum(1) / np.where(light > 0, light, 1)).sum())
-    return float(np.sqrt(max(1 - steady / energy, 0))) if energy > 0 else 0.0
+    return float(np.sqrt(max(1 - steady / energy, 0)))
 
 
 @dataclass(frozen=True)
@@ -148,8 +149,8 @@ class Pace:
     """A line: log of (mean speed of the gas over the seen one) = weights . (1, clues).
 
     Attributes:
-        metric: (5,) where lengths are metres and times seconds.
-        unitless: (5,) where nobody knows that; nothing for buoyancy.
+        metric: (6,) where lengths are metres and times seconds.
+        unitless: (6,) where nobody knows that; nothing for buoyancy.
     """
 
     metric: np.ndarray
@@ -180,7 +181,7 @@ class Pace:
         """The line through flames whose mean speed, m/s, is known (ridge regression; the constant is free)."""
         design = np.stack([[1, *flame.logs] for flame in clues])
         factor = np.log([true / flame.seen for true, flame in zip(speed, clues, strict=True)])
-        return cls(_ridge(design, factor), _ridge(design * [1, 0, 1, 1, 1], factor))
+        return cls(_ridge(design, factor), _ridge(design * [1, 0, 1, 1, 1, 1], factor))
 
 
 def _ridge(design: np.ndarray, values: np.ndarray) -> np.ndarray:

@@ -7,7 +7,7 @@ import pytest
 from gof.core.errors import DataFormatError, GofError
 from gof.dataset import Dataset
 from gof.footage.flame_mask import flame_mask
-from gof.reconstruct.observation import consistency, light_above, observe, unknown_flow
+from gof.reconstruct.observation import consistency, light_above, observe
 from gof.reconstruct.optical_flow import flow_method
 from tests.conftest import arc, write_dataset
 
@@ -94,23 +94,3 @@ def test_consistency_of_exact_and_wrong_flow():
     error = consistency(there, -there)
     assert error[:, :16].max() == 0 and np.isinf(error[:, 18:]).all(), "leaves the picture"
     assert consistency(there, there)[10, 5] == 6
-
-
-def test_unknown_flow_counts_the_flames_pixels_alone():
-    """Six pixels of flame, of whose flow two are unknown; outside of it nothing matters."""
-    flow, mask = np.zeros((2, 1, 3, 4, 2), np.float32), np.zeros((2, 1, 3, 4), bool)
-    mask[0, 0, 1], mask[1, 0, 2, :2] = True, True
-    flow[0, 0, 1, 0] = flow[1, 0, 2, 1] = np.nan
-    flow[:, 0, 0] = np.nan
-    assert unknown_flow(flow, mask) == pytest.approx(2 / 6)
-    assert unknown_flow(flow, np.zeros_like(mask)) == 0
-
-
-def test_a_frame_without_neighbours_counts_as_unknown(tmp_path):
-    """Frames 0 and 1 are neighbours, 3 has none: a third of three frames' pixels."""
-    frames, plate = moving_texture(4, (0, -1))
-    seen = observe(make(tmp_path, frames, plate, test_frames=[2]), max_error_px=1e9)
-    lonely = np.count_nonzero(seen.mask[2]) / np.count_nonzero(seen.mask)
-    leaving = np.count_nonzero(seen.mask[:2] & np.isnan(seen.flow[:2, ..., 0])) / np.count_nonzero(seen.mask)
-    assert unknown_flow(seen.flow, seen.mask) == pytest.approx(lonely + leaving)
-    assert lonely == pytest.approx(1 / 3, abs=0.1)

@@ -15,8 +15,8 @@ from gof.reconstruct.pace import (
     PaceClues,
     buoyant_speed,
     carried_speed,
-    seen_fluctuation,
     texture_along,
+    unsteadiness,
 )
 from tests.reconstruct.plumes import box_of_voxels, field_of
 
@@ -97,12 +97,12 @@ def swaying(sideways: float, bands=lambda z, t: 1.0) -> FlowField:
 
 
 @pytest.mark.parametrize("sideways", [0.0, 0.25, 2.0])
-def test_fluctuation_of_a_column_that_sways(sideways):
+def test_unsteadiness_of_a_column_that_sways(sideways):
     """Its mean is the rise; what is left is the sway."""
-    assert seen_fluctuation(swaying(sideways)) == pytest.approx(sideways / np.hypot(sideways, 0.5), abs=1e-6)
+    assert unsteadiness(swaying(sideways)) == pytest.approx(sideways / np.hypot(sideways, 0.5), abs=1e-6)
 
 
-def test_fluctuation_twin():
+def test_unsteadiness_twin():
     """The same, voxel by voxel, of motion and light without any order."""
     rng = np.random.default_rng(1)
     voxels = box_of_voxels((3, 2, 4), 0.1)
@@ -115,39 +115,31 @@ def test_fluctuation_twin():
         for e, u in zip(emission[:, v], velocity[:, v], strict=True):
             left += e * sum((u - mean) ** 2)
             whole += e * sum(u**2)
-    assert seen_fluctuation(field_of(voxels, velocity, emission)) == pytest.approx((left / whole) ** 0.5, rel=1e-9)
+    assert unsteadiness(field_of(voxels, velocity, emission)) == pytest.approx((left / whole) ** 0.5, rel=1e-9)
 
 
-def test_nothing_fluctuates_in_a_single_frame_or_where_nothing_moves():
-    field = column()
-    assert seen_fluctuation(FlowField(field.voxels, field.frames[:1])) == pytest.approx(0, abs=1e-6)
-    assert seen_fluctuation(column(seen=0.0)) == 0
-
-
-def test_clues_hold_what_the_clip_leaves_unknown():
-    assert clues_of(replace(column(), unknown_flow=0.125)).unknown == 0.125
-    assert clues_of(swaying(0.25)).seen_fluct == pytest.approx(0.25 / np.hypot(0.25, 0.5), rel=1e-6)
-
-
-def test_a_line_of_four_clues_does_not_ask_the_two_more():
-    clues = clues_of(column(bands=rising))
-    stranger = replace(clues, seen_fluct=0.9, unknown=0.4)
-    assert PACE.of(clues) == PACE.of(stranger)
+def test_two_frames_say_nothing_of_how_unsteady_a_motion_is():
+    """Nor does a flame that is not seen to move; a steady one does."""
+    field = swaying(0.25)
+    assert unsteadiness(FlowField(field.voxels, field.frames[:2])) == USUAL[4]
+    assert unsteadiness(column(seen=0.0)) == USUAL[4]
+    assert unsteadiness(column()) == pytest.approx(0, abs=1e-6)
+    assert clues_of(field).unsteady == pytest.approx(0.25 / np.hypot(0.25, 0.5), rel=1e-6)
 
 
 def test_a_line_is_found_again():
     """Flames that obey a line exactly, and one far from them that obeys it too."""
     flames = [
-        PaceClues(seen, seen * law, seen * carried, slenderness, texture, 1.0, 0.2, 0.03)
-        for seen, law, carried, slenderness, texture in np.random.default_rng(0).uniform(
-            [0.1, 2, 0.2, 0.05, 0.3], [3, 8, 1, 0.3, 1.5], (30, 5)
+        PaceClues(seen, seen * law, seen * carried, slenderness, texture, 1.0, unsteady)
+        for seen, law, carried, slenderness, texture, unsteady in np.random.default_rng(0).uniform(
+            [0.1, 2, 0.2, 0.05, 0.3, 0.08], [3, 8, 1, 0.3, 1.5, 0.5], (30, 6)
         )
     ]
-    line = np.array([0.6, 0.9, -0.4, 0.3, -0.5])
+    line = np.array([0.6, 0.9, -0.4, 0.3, -0.5, 0.5])
     true = [flame.seen * np.exp(line @ [1, *flame.logs]) for flame in flames]
     fitted = Pace.fit(flames, true)
     assert fitted.of(flames[0]) == pytest.approx(true[0], rel=0.05)
-    far = PaceClues(9.0, 9.0 * 12, 9.0 * 1.5, 0.04, 0.2, 1.0, 0.2, 0.03)
+    far = PaceClues(9.0, 9.0 * 12, 9.0 * 1.5, 0.04, 0.2, 1.0, 0.6)
     assert fitted.of(far) == pytest.approx(far.seen * np.exp(line @ [1, *far.logs]), rel=0.1)
 
 
@@ -160,13 +152,13 @@ def test_one_flame_is_enough_and_says_only_its_factor():
 
 @pytest.mark.parametrize("size", [1e-3, 1e3])
 def test_without_metres_the_unit_of_length_does_not_matter(size):
-    pace = Pace(np.array([0.5, 0.8, -0.4, 0.3, -0.5]), np.array([0.5, 0.0, -0.4, 0.3, -0.5]))
+    pace = Pace(np.array([0.5, 0.8, -0.4, 0.3, -0.5, 0.4]), np.array([0.5, 0.0, -0.4, 0.3, -0.5, 0.4]))
     same = pace.of(clues_of(column(bands=rising)), metres=False)
     larger = clues_of(column(1.5 * size, 0.5 * size, 0.05 * size, lambda z, t: rising(z / size, t)))
     assert pace.of(larger, metres=False) / size == pytest.approx(same, rel=1e-6)
 
 
-PACE = Pace(np.array([0.5, 0.8, -0.4, 0.3, -0.5]), np.array([0.5, 0.0, -0.4, 0.3, -0.5]))
+PACE = Pace(np.array([0.5, 0.8, -0.4, 0.3, -0.5, 0.4]), np.array([0.5, 0.0, -0.4, 0.3, -0.5, 0.4]))
 
 
 def two_columns(*energy: float) -> list[PaceClues]:
@@ -209,7 +201,7 @@ def rising(z, t):
 def test_what_is_stranger_than_all_flames_counts_no_more_than_the_strangest():
     crawling = clues_of(column(seen=1e-6))
     assert np.abs(crawling.logs).max() <= FARTHEST
-    assert np.isfinite(Pace(np.ones(5), np.ones(5)).of(crawling))
+    assert np.isfinite(Pace(np.ones(6), np.ones(6)).of(crawling))
     falling = clues_of(column(bands=lambda z, t: rising(z, -t)))
     assert falling.carried < 0
     assert falling.logs[2] == -FARTHEST

@@ -15,7 +15,7 @@ from gof_blender.pure.spec import SceneSpec
 
 KINDS = ("pool", "jet", "ball", "wind", "logs")
 FUELS = ("propane_high", "propane_low", "wood", "gasoline", "paper")
-FRAMES = 15
+FRAMES = 13
 LEAST_HZ, MOST_HZ = 25.0, 400.0
 LONGEST_STEP = 0.05  # of the flame's length that the gas may go in a step of the solver
 WARM_UP = 2.4  # lengths of the flame that the gas goes before the clip begins
@@ -115,7 +115,7 @@ def _spec(number: int, kind: str, law: Law, rng: np.random.Generator) -> SceneSp
         name=f"fire_{number:05d}",
         seed=number,
         clip=_clip(height, 3.0 * height**0.5 * (1 + 0.35 * jet / fast), rng),
-        domain=Domain(low, (wide, deep, height), 46 if kind == "jet" else 38),
+        domain=Domain(low, (wide, deep, height), 40 if kind == "jet" else 32),
         fire=fire,
         background="ground",
         effects=tuple(effects),
@@ -129,4 +129,4 @@ def _clip(height: float, speed: float, rng: np.random.Generator) -> Clip:
     rate = float(np.clip(speed / (_log(rng, 0.015, 0.085) * flame), LEAST_HZ, MOST_HZ))
     goes = speed / (rate * flame)
     steps = ceil(goes / LONGEST_STEP)
-    return Clip(FRAMES, rate, ceil(min(WARM_UP / goes, 110 / steps)), steps_per_frame=steps)
+    return Clip(FRAMES, rate, ceil(min(WARM_UP / goes, 90 / steps)), steps_per_frame=steps)
