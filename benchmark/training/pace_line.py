@@ -157,16 +157,19 @@ def with_new_clue(fires: Sequence[SeenFire]) -> Pace:
 
 
 def added_to_taught(fires: Sequence[SeenFire], which: tuple[int, ...]) -> Pace:
-    """Return `TAUGHT` with its constant and these of its weights fitted to what it leaves, by ridge regression."""
+    """Return `TAUGHT` with its constant and these of its weights fitted to what it leaves, by ridge regression.
+
+    The line for clips without metres, where the new clue means nothing, gets a constant alone.
+    """
     clues, speed = examples(fires)
-    free = [0, *which]
-    design = np.stack([[1, *flame.logs] for flame in clues])[:, free]
-    penalty = STIFFNESS * np.diag([1e-6] + [1] * len(which))
+    design = np.stack([[1, *flame.logs] for flame in clues])
     lines = []
     for weights, metres in ((TAUGHT.metric, True), (TAUGHT.unitless, False)):
+        free = [0, *(which if metres else ())]
+        penalty = STIFFNESS * np.diag([1e-6] + [1] * (len(free) - 1))
         left = np.log(speed) - np.log([TAUGHT.of(flame, metres) for flame in clues])
         line = weights.copy()
-        line[free] += np.linalg.solve(design.T @ design + penalty, design.T @ left)
+        line[free] += np.linalg.solve(design[:, free].T @ design[:, free] + penalty, design[:, free].T @ left)
         lines.append(line)
     return Pace(*lines)
 

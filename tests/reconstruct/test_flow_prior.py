@@ -219,5 +219,9 @@ def test_bad_weights_are_named(tmp_path):
     empty = dict.fromkeys(("velocity_layers", "uncertainty_layers"), 0)
     numbers = dict.fromkeys(("mean", "deviation", "pace_metric", "pace_unitless"), np.zeros(1))
     np.savez(path, features=["a"], **empty, **numbers)
-    with pytest.raises(DataFormatError, match="other features"):
+    with pytest.raises(DataFormatError, match="other features or clues"):
+        FlowPrior.load(path)
+    four_clues = dict.fromkeys(("pace_metric", "pace_unitless"), np.zeros(5))
+    np.savez(path, features=FEATURES, **empty, **(numbers | four_clues))
+    with pytest.raises(DataFormatError, match="other features or clues"):
         FlowPrior.load(path)

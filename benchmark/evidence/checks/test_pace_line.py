@@ -32,7 +32,7 @@ def made_up(count: int, weights: np.ndarray) -> list[SeenFire]:
     fires = []
     for number in range(count):
         seen, law, carried, slenderness, texture = rng.uniform([0.1, 2, 0.2, 0.05, 0.3], [3, 8, 1, 0.3, 1.5])
-        clues = PaceClues(seen, seen * law, seen * carried, slenderness, texture, 1.0, rng.uniform(0.05, 0.5))
+        clues = PaceClues(seen, seen * law, seen * carried, slenderness, texture, 1.0, rng.uniform(0.08, 0.25))
         pace = seen * np.exp(weights @ [1, *clues.logs])
         fires.append(SeenFire(str(number), "dev", ("pool", "jet")[number % 2], "sheets", (clues,), (float(pace),)))
     return fires
@@ -42,10 +42,10 @@ def test_the_new_clue_is_found_beside_what_was_taught():
     """The four old clues obey the taught line but for a factor; of the new one the fires' own weight comes back."""
     fires = made_up(60, TAUGHT.metric + [0.3, 0, 0, 0, 0, 0.8])
     pace = with_new_clue(fires[:40])
-    np.testing.assert_allclose(pace.metric, TAUGHT.metric + [0.3, 0, 0, 0, 0, 0.8], atol=0.01)
-    assert rms(errors(pace, fire) for fire in fires[40:]) < 0.01
-    assert rms(errors(moved(fires[:40]), fire) for fire in fires[40:]) > 0.2, "without the clue its part is missed"
-    assert pace.unitless[1] == 0
+    np.testing.assert_allclose(pace.metric, TAUGHT.metric + [0.3, 0, 0, 0, 0, 0.8], atol=0.02)
+    assert rms(errors(pace, fire) for fire in fires[40:]) < 0.02
+    assert rms(errors(moved(fires[:40]), fire) for fire in fires[40:]) > 0.15, "without the clue its part is missed"
+    assert pace.unitless[[1, 5]].tolist() == [0, 0], "without metres neither buoyancy nor the new clue counts"
 
 
 def test_a_constant_is_all_that_moves_without_the_clue():
@@ -63,7 +63,7 @@ def test_tables_name_what_was_left_out_and_the_clue_lowers_its_column():
     rows = [line.split("|") for line in left_out(fires, lambda fire: fire.kind).splitlines()]
     assert [row[1].strip() for row in rows[2:]] == ["jet", "pool", "all"]
     heads, last = [cell.strip() for cell in rows[0]], rows[-1]
-    assert float(last[heads.index("with the new clue")]) < 0.05 < 0.2 < float(last[heads.index("moved")])
+    assert float(last[heads.index("with the new clue")]) < 0.05 < 0.15 < float(last[heads.index("moved")])
     curve = learning_curve(fires)
     assert [line.split("|")[1].strip() for line in curve.splitlines()[2:]] == ["6", "12", "24"]
 
