@@ -1,14 +1,13 @@
-"""Learn how fast flames are as a whole, and say what each clue is worth.
+"""What each clue of a flame's pace is worth, on fires of kinds that a line has not seen.
 
     python -m gof_benchmark.fires WORK --split dev
-    python -m gof_benchmark.training.pace_line WORK --fires 60 [--out gof/reconstruct/flow_prior.npz]
+    python -m gof_benchmark.training.pace_line WORK --fires 60
 
 Fires come from two places: the datasets in WORK/dev, and the factory, which bakes new ones by the generator and films
 them without Cycles. What is kept of each is one small file in WORK/pace, so that the same command goes on where it was
-stopped. Lines in logarithms are fitted to them and printed, all as RMS (and mean) of the log of estimated over true
-pace: a learning curve (lines through some fires, asked about the others), and tables of kinds, sources and emission
-laws that a line had not seen. With --out the last of `LINES`, fitted to all of them, goes into the flow prior's
-weights; its networks stay as they are.
+stopped. Printed are, all as RMS (and mean) of the log of estimated over true pace: a learning curve (lines through some
+fires, asked about the others), and tables of kinds, sources and emission laws that a line had not seen. Nothing of the
+product is changed: the shipped line is fitted by `flow_prior`, and a clue that wins here may be added to it.
 """
 
 from __future__ import annotations
@@ -16,7 +15,7 @@ from __future__ import annotations
 import resource
 import time
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass
 from functools import partial
 from pathlib import Path
 
@@ -25,32 +24,32 @@ import numpy as np
 import tyro
 
 from gof.core.errors import GofError
-from gof.core.files import atomic_path, only_run_in, read_json, write_json
+from gof.core.fields import SAME_TIME_S
+from gof.core.files import only_run_in, read_json, write_json
 from gof.dataset import Dataset
 from gof.reconstruct.flame_axis import FlameAxis
+from gof.reconstruct.flow_field import FlowField, FrameField
 from gof.reconstruct.flow_prior import FlowPrior
 from gof.reconstruct.log_light import LogLight
 from gof.reconstruct.observation import observe
-from gof.reconstruct.pace import STIFFNESS, USUAL, Pace, PaceClues
+from gof.reconstruct.pace import GRAVITY, STIFFNESS, USUAL, Pace, PaceClues
 from gof.reconstruct.several_flames import alone, several_flames
 from gof_benchmark.training.factory.draws import Draw
 from gof_benchmark.training.factory.fire import PoorFireError, Recording, make_fire
 from gof_benchmark.training.field_score import mean_speed, open_small, preview_field
 
 DRAWS = 20  # random choices of fires for a point of the learning curve
-SMALLEST, LEAST_LEFT = 6, 5  # fires of the curve's first point, and left to ask about at its last
+SMALLEST, LEAST_LEFT = 4, 4  # fires of the curve's first point, and left to ask about at its last
 
 
 @dataclass
 class PaceConfig:
-    """Make the factory's fires and fit the pace to them and to the dev fires; see the module's text."""
+    """Make the factory's fires and ask of them and the dev fires what clues are worth; see the module's text."""
 
     work: tyro.conf.Positional[Path]
-    """Folder of the benchmark's fires; clues go into its folder pace."""
+    """Folder of the benchmark's fires; what is kept goes into its folder pace."""
     fires: int = 60
     """How many fires of the factory; numbers 0 to N - 1."""
-    out: Path | None = None
-    """Where the flow prior with the line that they teach goes."""
 
 
 @dataclass(frozen=True)
@@ -59,7 +58,8 @@ class SeenFire:
 
     Attributes:
         name: of its file.    source: "dev" or "factory".    kind: of `draws.KINDS`, or "openfoam".
-        law: of `light.LAWS`; "cycles" of a dataset.    clues, paces: of each of its flames; true paces, m/s.
+        law: of `light.LAWS`; "cycles" of a dataset.
+        clues, unsteady, paces: of each of its flames; see `unsteadiness`; true paces, m/s.
     """
 
     name: str
@@ -67,6 +67,7 @@ class SeenFire:
     kind: str
     law: str
     clues: tuple[PaceClues, ...]
+    unsteady: tuple[float, ...]
     paces: tuple[float, ...]
 
     @classmethod
@@ -77,8 +78,8 @@ class SeenFire:
             return None
         flames = kept["flames"]
         clues = tuple(PaceClues(**flame["clues"]) for flame in flames)
-        paces = tuple(flame["pace"] for flame in flames)
-        return cls(path.stem, kept["source"], kept["kind"], kept["law"], clues, paces)
+        unsteady, paces = (tuple(flame[name] for flame in flames) for name in ("unsteady", "pace"))
+        return cls(path.stem, kept["source"], kept["kind"], kept["law"], clues, unsteady, paces)
 
 
 def keep(path: Path, traits: dict[str, str], opened: Callable[[], Recording | Dataset]) -> str:
@@ -126,7 +127,9 @@ def seen(fire: Recording | Dataset) -> list[dict]:
     for part in (alone(field, own == k) for k in range(own.max() + 1)):
         axis, pace = FlameAxis.of(part), mean_speed(truth, part.emission)
         if axis is not None and pace > 0:
-            flames.append({"clues": asdict(PaceClues.of(axis, LogLight.of(part))), "pace": pace})
+            clues = PaceClues.of(axis, LogLight.of(part))
+            unsteady = unsteadiness(part, WINDOW * clues.buoyant / GRAVITY)
+            flames.append({"clues": asdict(clues), "unsteady": unsteady, "pace": pace})
     if not flames:
         raise PoorFireError("nothing is seen to move")
     return flames
@@ -134,69 +137,101 @@ def seen(fire: Recording | Dataset) -> list[dict]:
 
 # ---- Lines ----------------------------------------------------------------------------------------------------------
 
-TAUGHT = Pace(
-    np.array([0.6425, 0.6806, -0.2229, 0.2734, -0.4485, 0.0]), np.array([0.5872, 0.0, 0.4048, 0.4928, -0.6434, 0.0])
-)
-"""The line of four clues that 34 dev fires of two solvers, rendered by Cycles, have taught."""
-NEW = 5  # which of a line's weights is that of the clue which TAUGHT does not weigh
+SHIPPED = FlowPrior.load().pace
 
 
-def anew(fires: Sequence[SeenFire]) -> Pace:
-    """Return the line of all clues through these fires alone."""
-    return Pace.fit(*examples(fires))
+@dataclass(frozen=True)
+class Line:
+    """A line of the product, and what is added to its logarithm: a constant, and a weight for unsteadiness."""
+
+    pace: Pace
+    constant: float = 0.0
+    weight: float = 0.0
+
+    def errors(self, fire: SeenFire) -> np.ndarray:
+        """Return the log of estimated over true pace of each flame; those side by side share what is added."""
+        found = np.log(self.pace.side_by_side(fire.clues))
+        return found + self.constant + self.weight * np.mean(unsteady_logs(fire)) - np.log(fire.paces)
 
 
-def moved(fires: Sequence[SeenFire]) -> Pace:
-    """Return `TAUGHT` with the constant that these fires ask for."""
-    return added_to_taught(fires, ())
+def unsteady_logs(fire: SeenFire) -> np.ndarray:
+    """Return the logarithm of each flame's unsteadiness over the usual."""
+    return np.clip(np.log(np.maximum(fire.unsteady, 1e-9) / USUAL_UNSTEADY), -FARTHEST, FARTHEST)
 
 
-def with_new_clue(fires: Sequence[SeenFire]) -> Pace:
-    """Return `TAUGHT` with the constant and the weight of the new clue that these fires ask for."""
-    return added_to_taught(fires, (NEW,))
+def anew(fires: Sequence[SeenFire]) -> Line:
+    """Return the line of the product's clues through these fires alone."""
+    clues = [c for fire in fires for c in fire.clues]
+    return Line(Pace.fit(clues, [pace for fire in fires for pace in fire.paces]))
 
 
-def added_to_taught(fires: Sequence[SeenFire], which: tuple[int, ...]) -> Pace:
-    """Return `TAUGHT` with its constant and these of its weights fitted to what it leaves, by ridge regression.
-
-    The line for clips without metres, where the new clue means nothing, gets a constant alone.
-    """
-    clues, speed = examples(fires)
-    design = np.stack([[1, *flame.logs] for flame in clues])
-    lines = []
-    for weights, metres in ((TAUGHT.metric, True), (TAUGHT.unitless, False)):
-        free = [0, *(which if metres else ())]
-        penalty = STIFFNESS * np.diag([1e-6] + [1] * (len(free) - 1))
-        left = np.log(speed) - np.log([TAUGHT.of(flame, metres) for flame in clues])
-        line = weights.copy()
-        line[free] += np.linalg.solve(design[:, free].T @ design[:, free] + penalty, design[:, free].T @ left)
-        lines.append(line)
-    return Pace(*lines)
+def moved(fires: Sequence[SeenFire]) -> Line:
+    """Return the shipped line with the constant that these fires ask for."""
+    return Line(SHIPPED, -float(np.mean(np.concatenate([Line(SHIPPED).errors(fire) for fire in fires]))))
 
 
-def examples(fires: Sequence[SeenFire]) -> tuple[list[PaceClues], list[float]]:
-    """Return clues and true pace of all flames of these fires."""
-    return [c for fire in fires for c in fire.clues], [pace for fire in fires for pace in fire.paces]
+def with_unsteadiness(fires: Sequence[SeenFire]) -> Line:
+    """Return the shipped line with the constant and the weight of unsteadiness that these fires ask for, by ridge."""
+    left = -np.concatenate([Line(SHIPPED).errors(fire) for fire in fires])
+    design = np.concatenate([[[1, np.mean(unsteady_logs(fire))]] * len(fire.paces) for fire in fires])
+    penalty = STIFFNESS * np.diag([1e-6, 1])
+    return Line(SHIPPED, *np.linalg.solve(design.T @ design + penalty, design.T @ left).tolist())
 
 
-LINES: dict[str, Callable[[Sequence[SeenFire]], Pace]] = {
-    "taught": lambda fires: TAUGHT,
-    "buoyancy": lambda fires: Pace(*[np.array([np.log(USUAL[0]), 1.0, 0, 0, 0, 0])] * 2),
+LINES: dict[str, Callable[[Sequence[SeenFire]], Line]] = {
+    "shipped": lambda fires: Line(SHIPPED),
+    "buoyancy": lambda fires: Line(Pace(*[np.array([np.log(USUAL[0]), 1.0, 0, 0, 0])] * 2)),
     "anew": anew,
-    "moved": moved,
-    "with the new clue": with_new_clue,
+    "shipped, moved": moved,
+    "and unsteadiness": with_unsteadiness,
 }
 """What may be done with fires whose pace is known; the first two learn nothing from them."""
-
-
-def errors(pace: Pace, fire: SeenFire) -> np.ndarray:
-    """Return the log of estimated over true pace of each flame."""
-    return np.log(pace.side_by_side(fire.clues)) - np.log(fire.paces)
 
 
 def rms(values: Iterable[np.ndarray]) -> float:
     """Return the root mean square of arrays joined."""
     return float(np.sqrt(np.mean(np.square(np.concatenate(list(values))))))
+
+
+# ---- A clue that is tried -------------------------------------------------------------------------------------------
+
+WINDOW = 0.2  # of the buoyant speed over gravity: the time in which a motion is asked how unsteady it is
+FEWEST = 3  # frames that say it
+USUAL_UNSTEADY = 0.14
+FARTHEST = np.log(2.0)  # more or less than that times the usual counts no more
+
+
+def unsteadiness(field: FlowField, window_s: float) -> float:
+    """Return the RMS of the seen velocity about each voxel's mean in a window of time, over its RMS; by emission.
+
+    Over all windows of the clip, so that a long clip is no less steady than a short one; over the whole of one that is
+    shorter than the window.
+    Returns:
+        0 to 1; `USUAL_UNSTEADY` where nothing moves or shines, or no window holds `FEWEST` frames.
+    """
+    reach = min(window_s, field.frames[-1].time_s - field.frames[0].time_s)
+    light, momentum, energy = np.zeros(len(field.voxels.center)), np.zeros((len(field.voxels.center), 3)), 0.0
+    unsteady = whole = 0.0
+    first = 0
+    for last, frame in enumerate(field.frames):
+        gained, moved, motion = _momentum(frame)
+        light, momentum, energy = light + gained, momentum + moved, energy + motion
+        while frame.time_s - field.frames[first].time_s > reach + SAME_TIME_S:
+            gained, moved, motion = _momentum(field.frames[first])
+            light, momentum, energy = light - gained, momentum - moved, energy - motion
+            first += 1
+        full = frame.time_s - field.frames[0].time_s >= reach - SAME_TIME_S
+        if full and last - first + 1 >= FEWEST:
+            lit = light > 1e-9 * light.max()
+            unsteady += energy - float(((momentum[lit] ** 2).sum(1) / light[lit]).sum())
+            whole += energy
+    return float(np.sqrt(np.clip(unsteady / whole, 0, 1))) if whole > 0 else USUAL_UNSTEADY
+
+
+def _momentum(frame: FrameField) -> tuple[np.ndarray, np.ndarray, float]:
+    """Return emission (V,), that times velocity (V, 3), and the sum of that times its square."""
+    moved = frame.emission[:, None] * frame.velocity
+    return frame.emission, moved, float((moved * frame.velocity).sum())
 
 
 # ---- Tables ---------------------------------------------------------------------------------------------------------
@@ -212,8 +247,8 @@ def learning_curve(fires: Sequence[SeenFire]) -> str:
             order = np.random.default_rng(draw).permutation(len(fires))
             known, left = ([fires[i] for i in part] for part in (order[:count], order[count:]))
             for name, line in LINES.items():
-                pace = line(known)
-                off[name].append(rms(errors(pace, fire) for fire in left))
+                fitted = line(known)
+                off[name].append(rms(fitted.errors(fire) for fire in left))
         lines.append(f"| {count} | {' | '.join(f'{np.mean(off[name]):.3f}' for name in LINES)} |")
         count *= 2
     return "\n".join(lines)
@@ -229,8 +264,8 @@ def left_out(fires: Sequence[SeenFire], trait: Callable[[SeenFire], str]) -> str
             continue
         cells = []
         for name, line in LINES.items():
-            pace = line(others)
-            off = [errors(pace, fire) for fire in mine]
+            fitted = line(others)
+            off = [fitted.errors(fire) for fire in mine]
             everything[name] += off
             cells.append(f"{rms(off):.3f} ({np.mean(np.concatenate(off)):+.2f})")
         lines.append(f"| {group} | {len(mine)} | {' | '.join(cells)} |")
@@ -257,23 +292,17 @@ def main(argv: list[str] | None = None) -> None:
             if not paths[-1].exists():
                 traits = {"source": "factory", "kind": draw.kind, "law": draw.law}
                 print(keep(paths[-1], traits, partial(make_fire, draw)), flush=True)
-    fires = report(paths)
-    if config.out:
-        pace = list(LINES.values())[-1](fires)
-        with atomic_path(config.out) as temporary:
-            replace(FlowPrior.load(), pace=pace).save(temporary)
-        print(f"pace: metric {pace.metric.round(3)}, unitless {pace.unitless.round(3)} -> {config.out}")
+    report(paths)
 
 
-def report(paths: list[Path]) -> list[SeenFire]:
-    """Print the tables of the fires kept at paths, and return those that are not poor."""
+def report(paths: list[Path]) -> None:
+    """Print the tables of the fires kept at paths, without poor ones."""
     kept = [SeenFire.read(path) for path in paths]
     fires = [fire for fire in kept if fire is not None]
     cost = np.mean([read_json(path)["cpu_s"] for path in paths])
     print(f"{len(fires)} fires, {len(kept) - len(fires)} poor ones left away; {cost:.1f} CPU s each")
     tables = [left_out(fires, trait) for trait in (lambda f: f.kind, lambda f: f.source, lambda f: f.law)]
     print(learning_curve(fires), *tables, sep="\n\n")
-    return fires
 
 
 if __name__ == "__main__":

@@ -30,7 +30,7 @@ from gof.core.errors import DataFormatError, GofError
 from gof.reconstruct.flame_axis import CrossSections, FlameAxis
 from gof.reconstruct.flow_field import FlowField
 from gof.reconstruct.log_light import LogLight, slope
-from gof.reconstruct.pace import USUAL, Pace, PaceClues
+from gof.reconstruct.pace import Pace, PaceClues
 from gof.reconstruct.several_flames import alone, several_flames
 
 WEIGHTS = Path(__file__).with_name("flow_prior.npz")
@@ -117,9 +117,9 @@ class FlowPrior:
             )
         except KeyError as missing:
             raise DataFormatError(f"{path}: not the weights of a flow prior ({missing} is missing)") from missing
-        if features != list(FEATURES) or prior.pace.metric.shape != (1 + len(USUAL),):
+        if features != list(FEATURES):
             raise DataFormatError(
-                f"{path}: trained for other features or clues than this version's; run benchmark/training/flow_prior.py"
+                f"{path}: trained for other features than this version's; run benchmark/training/flow_prior.py"
             )
         return prior
 

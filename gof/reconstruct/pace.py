@@ -2,16 +2,14 @@
 
 Texture lags behind the gas by a factor that is much the same all over one flame and differs from flame to flame: 0.8 to
 4 on the benchmark's. A clip says little of it, and a hundred flames are not at hand to learn it from, so it is a
-straight line in logarithms through five clues that physics names:
+straight line in logarithms through four clues that physics names:
 
 - what buoyancy would make of a flame of this length, if lengths are metres: hot gas cannot choose its speed;
 - how slender the flame is: a jet is faster than buoyancy, and a squat flame that is fed from all sides slower;
 - how much of the seen motion carries its texture with it: where light rather goes out and on again in place, optical
   flow reads much of that as motion, and the gas is slower than it looks;
 - how upright the moving texture is: smooth sheets that stand along the flow hide its speed (the aperture problem), and
-  the gas is faster than it looks;
-- how unsteady the seen motion is, within the time that gravity needs to make such a speed: texture that is soon mixed
-  away, as a fast jet's, is seen to move less than its gas, and now this way, now that.
+  the gas is faster than it looks.
 """
 
 from __future__ import annotations
@@ -22,17 +20,13 @@ from itertools import pairwise
 
 import numpy as np
 
-from gof.core.fields import SAME_TIME_S
 from gof.reconstruct.flame_axis import FlameAxis
-from gof.reconstruct.flow_field import FlowField, FrameField
 from gof.reconstruct.log_light import LogLight, slope
 
 GRAVITY = 9.81  # m/s2
 LAW = 2.18  # of sqrt(g z): McCaffrey's 6.83 sqrt(z) on the axis of the continuous flame (NBSIR 79-1910)
-USUAL = np.array([4.0, 0.14, 0.6, 0.7, 0.14])  # of the clues; logarithms are taken from there
-FARTHEST = np.log([4.0, 4.0, 4.0, 4.0, 2.0])  # a clue stranger than that counts no more: no flame of the benchmark is
-WINDOW = 0.2  # of the buoyant speed over gravity: the time in which a motion is asked how unsteady it is
-FEWEST = 3  # frames that say it
+USUAL = np.array([4.0, 0.14, 0.6, 0.7])  # of the clues; logarithms are taken from there
+FARTHEST = np.log(4.0)  # a clue stranger than that counts no more: no flame of the benchmark is
 STIFFNESS = 0.05  # of the fit: as much as a twentieth of a flame that says "all clues mean nothing"
 ROUNDING = 1e-20  # mean square of differences of logarithms that are nothing but rounding
 TEXTURE = 1.5  # voxels, std-dev of the light that is looked at
@@ -49,8 +43,6 @@ class PaceClues:
         slenderness: the flame's radius over its length.
         texture: slope of the moving texture along the axis over its slope across; 0 for upright sheets.
         energy: how much there is to see of it, > 0: its light times the square of its seen speed, in any unit.
-        unsteady: see `unsteadiness`, 0 to 1: 0 where all goes on as it did, near 1 where nothing does. Means something
-            where lengths are metres.
     """
 
     seen: float
@@ -59,26 +51,22 @@ class PaceClues:
     slenderness: float
     texture: float
     energy: float
-    unsteady: float
 
     @classmethod
     def of(cls, axis: FlameAxis, log_light: LogLight) -> PaceClues:
-        buoyant = buoyant_speed(axis)
         return cls(
             seen=axis.seen_speed,
-            buoyant=buoyant,
+            buoyant=buoyant_speed(axis),
             carried=carried_speed(axis, log_light),
             slenderness=axis.radius / axis.length,
             texture=texture_along(axis, log_light),
             energy=float(axis.mean_light.sum()) * axis.seen_speed**2,
-            unsteady=unsteadiness(log_light.field, WINDOW * buoyant / GRAVITY),
         )
 
     @property
     def logs(self) -> np.ndarray:
-        """(5,) logarithms over the usual: buoyant over seen, slenderness, carried over seen, texture, unsteadiness."""
-        over_seen = self.buoyant / self.seen, self.carried / self.seen
-        ratios = np.array([over_seen[0], self.slenderness, over_seen[1], self.texture, self.unsteady])
+        """(4,) logarithms over the usual: buoyant over seen, slenderness, carried over seen, texture."""
+        ratios = np.array([self.buoyant / self.seen, self.slenderness, self.carried / self.seen, self.texture])
         return np.clip(np.log(np.maximum(ratios, 1e-9) / USUAL), -FARTHEST, FARTHEST)
 
 
@@ -128,46 +116,13 @@ def texture_along(axis: FlameAxis, log_light: LogLight) -> float:
     return float(np.sqrt(max(along, 1e-6 * total) / max(across, 1e-6 * total)))
 
 
-def unsteadiness(field: FlowField, window_s: float) -> float:
-    """RMS of the seen velocity about each voxel's mean over a window of time, over its RMS; weighted by emission.
-
-    Over all windows of the clip, so that a long clip is no less steady than a short one; over the whole of one that is
-    shorter than the window.
-    Returns:
-        0 to 1; `USUAL` where nothing moves or shines, or no window holds `FEWEST` frames.
-    """
-    reach = min(window_s, field.frames[-1].time_s - field.frames[0].time_s)
-    light, momentum, energy = np.zeros(len(field.voxels.center)), np.zeros((len(field.voxels.center), 3)), 0.0
-    unsteady = whole = 0.0
-    first = 0
-    for last, frame in enumerate(field.frames):
-        gained, moved, motion = _momentum(frame)
-        light, momentum, energy = light + gained, momentum + moved, energy + motion
-        while frame.time_s - field.frames[first].time_s > reach + SAME_TIME_S:
-            gained, moved, motion = _momentum(field.frames[first])
-            light, momentum, energy = light - gained, momentum - moved, energy - motion
-            first += 1
-        full = frame.time_s - field.frames[0].time_s >= reach - SAME_TIME_S
-        if full and last - first + 1 >= FEWEST:
-            lit = light > 1e-9 * light.max()
-            unsteady += energy - float(((momentum[lit] ** 2).sum(1) / light[lit]).sum())
-            whole += energy
-    return float(np.sqrt(np.clip(unsteady / whole, 0, 1))) if whole > 0 else float(USUAL[4])
-
-
-def _momentum(frame: FrameField) -> tuple[np.ndarray, np.ndarray, float]:
-    """Emission (V,), that times velocity (V, 3), and the sum of that times its square."""
-    moved = frame.emission[:, None] * frame.velocity
-    return frame.emission, moved, float((moved * frame.velocity).sum())
-
-
 @dataclass(frozen=True)
 class Pace:
     """A line: log of (mean speed of the gas over the seen one) = weights . (1, clues).
 
     Attributes:
-        metric: (6,) where lengths are metres and times seconds.
-        unitless: (6,) where nobody knows that; nothing for buoyancy and unsteadiness.
+        metric: (5,) where lengths are metres and times seconds.
+        unitless: (5,) where nobody knows that; nothing for buoyancy.
     """
 
     metric: np.ndarray
@@ -198,7 +153,7 @@ class Pace:
         """The line through flames whose mean speed, m/s, is known (ridge regression; the constant is free)."""
         design = np.stack([[1, *flame.logs] for flame in clues])
         factor = np.log([true / flame.seen for true, flame in zip(speed, clues, strict=True)])
-        return cls(_ridge(design, factor), _ridge(design * [1, 0, 1, 1, 1, 0], factor))
+        return cls(_ridge(design, factor), _ridge(design * [1, 0, 1, 1, 1], factor))
 
 
 def _ridge(design: np.ndarray, values: np.ndarray) -> np.ndarray:

@@ -92,7 +92,7 @@ def test_a_flame_on_its_side_moves_on_its_side(prior):
     np.testing.assert_allclose(result.velocity, expected, rtol=1e-3, atol=1e-4)
 
 
-LINE = np.array([np.log(3.0), 0, 0, 0, 0, 0])  # the gas is three times as fast as what is seen
+LINE = np.array([np.log(3.0), 0, 0, 0, 0])  # the gas is three times as fast as what is seen
 
 
 def giving(vector: int, coefficient: float, uncertainty: float = 0.0) -> FlowPrior:
@@ -219,9 +219,5 @@ def test_bad_weights_are_named(tmp_path):
     empty = dict.fromkeys(("velocity_layers", "uncertainty_layers"), 0)
     numbers = dict.fromkeys(("mean", "deviation", "pace_metric", "pace_unitless"), np.zeros(1))
     np.savez(path, features=["a"], **empty, **numbers)
-    with pytest.raises(DataFormatError, match="other features or clues"):
-        FlowPrior.load(path)
-    four_clues = dict.fromkeys(("pace_metric", "pace_unitless"), np.zeros(5))
-    np.savez(path, features=FEATURES, **empty, **(numbers | four_clues))
-    with pytest.raises(DataFormatError, match="other features or clues"):
+    with pytest.raises(DataFormatError, match="other features"):
         FlowPrior.load(path)

@@ -8,16 +8,7 @@ import pytest
 from gof.reconstruct.flame_axis import FlameAxis
 from gof.reconstruct.flow_field import FlowField
 from gof.reconstruct.log_light import LogLight
-from gof.reconstruct.pace import (
-    FARTHEST,
-    USUAL,
-    Pace,
-    PaceClues,
-    buoyant_speed,
-    carried_speed,
-    texture_along,
-    unsteadiness,
-)
+from gof.reconstruct.pace import FARTHEST, USUAL, Pace, PaceClues, buoyant_speed, carried_speed, texture_along
 from tests.reconstruct.plumes import box_of_voxels, field_of
 
 STEP_S = 0.01  # between the frames of field_of
@@ -88,76 +79,19 @@ def test_a_steady_flame_says_nothing_of_its_texture():
     assert texture_along(FlameAxis.of(field), LogLight.of(field)) == USUAL[3]
 
 
-def swaying(sideways: float, bands=lambda z, t: 1.0) -> FlowField:
-    """The column, whose light in four frames also goes right, left, right, left at a speed, m/s."""
-    still = column(bands=bands)
-    voxels, emission = still.voxels, still.frames[0].emission
-    velocity = [np.broadcast_to([sideways * (-1) ** f, 0, 0.5], voxels.center.shape) for f in range(4)]
-    return field_of(voxels, velocity, [emission] * 4)
-
-
-@pytest.mark.parametrize("sideways", [0.0, 0.25, 2.0])
-def test_unsteadiness_of_a_column_that_sways(sideways):
-    """Its mean is the rise; what is left is the sway."""
-    assert unsteadiness(swaying(sideways), 1.0) == pytest.approx(sideways / np.hypot(sideways, 0.5), abs=1e-6)
-
-
-def test_unsteadiness_twin():
-    """The same, voxel by voxel, of motion and light without any order."""
-    rng = np.random.default_rng(1)
-    voxels = box_of_voxels((3, 2, 4), 0.1)
-    velocity, emission = rng.normal(0.3, 1, (5, 24, 3)), rng.uniform(0, 1, (5, 24)) * (rng.random((5, 24)) > 0.3)
-    left = whole = 0.0
-    for v in range(24):
-        if not emission[:, v].any():
-            continue
-        mean = sum(e * u for e, u in zip(emission[:, v], velocity[:, v], strict=True)) / sum(emission[:, v])
-        for e, u in zip(emission[:, v], velocity[:, v], strict=True):
-            left += e * sum((u - mean) ** 2)
-            whole += e * sum(u**2)
-    assert unsteadiness(field_of(voxels, velocity, emission), 1.0) == pytest.approx((left / whole) ** 0.5, rel=1e-9)
-
-
-def test_a_window_forgets_what_is_past():
-    """A column that goes right for six frames and left for six: in three frames it is steady, but about the turn."""
-    still = column()
-    voxels, emission = still.voxels, still.frames[0].emission
-    turned = [np.broadcast_to([0.25 if f < 6 else -0.25, 0, 0.5], voxels.center.shape) for f in range(12)]
-    field = field_of(voxels, turned, [emission] * 12)
-    whole = 0.25**2 + 0.5**2
-    assert unsteadiness(field, 1.0) == pytest.approx(0.25 / whole**0.5, rel=1e-6)
-    about_the_turn = 2 * (1 - (1 / 3) ** 2) * 0.25**2 / (10 * whole)  # two of ten windows, mean a third of the speed
-    assert unsteadiness(field, 2 * STEP_S) == pytest.approx(about_the_turn**0.5, rel=1e-6)
-
-
-def test_two_frames_say_nothing_of_how_unsteady_a_motion_is():
-    """Nor does a flame that is not seen to move; a steady one does."""
-    field = swaying(0.25)
-    assert unsteadiness(FlowField(field.voxels, field.frames[:2]), 1.0) == USUAL[4]
-    assert unsteadiness(field, 1.5 * STEP_S) == USUAL[4]
-    assert unsteadiness(column(seen=0.0), 1.0) == USUAL[4]
-    assert unsteadiness(column(), 1.0) == pytest.approx(0, abs=1e-6)
-
-
-def test_the_window_of_a_clip_follows_its_buoyancy():
-    field = swaying(0.25)
-    clues = clues_of(field)
-    assert clues.unsteady == unsteadiness(field, 0.2 * clues.buoyant / 9.81)
-
-
 def test_a_line_is_found_again():
     """Flames that obey a line exactly, and one far from them that obeys it too."""
     flames = [
-        PaceClues(seen, seen * law, seen * carried, slenderness, texture, 1.0, unsteady)
-        for seen, law, carried, slenderness, texture, unsteady in np.random.default_rng(0).uniform(
-            [0.1, 2, 0.2, 0.05, 0.3, 0.08], [3, 8, 1, 0.3, 1.5, 0.25], (30, 6)
+        PaceClues(seen, seen * law, seen * carried, slenderness, texture, 1.0)
+        for seen, law, carried, slenderness, texture in np.random.default_rng(0).uniform(
+            [0.1, 2, 0.2, 0.05, 0.3], [3, 8, 1, 0.3, 1.5], (30, 5)
         )
     ]
-    line = np.array([0.6, 0.9, -0.4, 0.3, -0.5, 0.5])
+    line = np.array([0.6, 0.9, -0.4, 0.3, -0.5])
     true = [flame.seen * np.exp(line @ [1, *flame.logs]) for flame in flames]
     fitted = Pace.fit(flames, true)
     assert fitted.of(flames[0]) == pytest.approx(true[0], rel=0.05)
-    far = PaceClues(9.0, 9.0 * 12, 9.0 * 1.5, 0.04, 0.2, 1.0, 0.25)
+    far = PaceClues(9.0, 9.0 * 12, 9.0 * 1.5, 0.04, 0.2, 1.0)
     assert fitted.of(far) == pytest.approx(far.seen * np.exp(line @ [1, *far.logs]), rel=0.1)
 
 
@@ -170,13 +104,13 @@ def test_one_flame_is_enough_and_says_only_its_factor():
 
 @pytest.mark.parametrize("size", [1e-3, 1e3])
 def test_without_metres_the_unit_of_length_does_not_matter(size):
-    pace = Pace(np.array([0.5, 0.8, -0.4, 0.3, -0.5, 0.4]), np.array([0.5, 0.0, -0.4, 0.3, -0.5, 0.0]))
+    pace = Pace(np.array([0.5, 0.8, -0.4, 0.3, -0.5]), np.array([0.5, 0.0, -0.4, 0.3, -0.5]))
     same = pace.of(clues_of(column(bands=rising)), metres=False)
     larger = clues_of(column(1.5 * size, 0.5 * size, 0.05 * size, lambda z, t: rising(z / size, t)))
     assert pace.of(larger, metres=False) / size == pytest.approx(same, rel=1e-6)
 
 
-PACE = Pace(np.array([0.5, 0.8, -0.4, 0.3, -0.5, 0.4]), np.array([0.5, 0.0, -0.4, 0.3, -0.5, 0.0]))
+PACE = Pace(np.array([0.5, 0.8, -0.4, 0.3, -0.5]), np.array([0.5, 0.0, -0.4, 0.3, -0.5]))
 
 
 def two_columns(*energy: float) -> list[PaceClues]:
@@ -218,8 +152,8 @@ def rising(z, t):
 
 def test_what_is_stranger_than_all_flames_counts_no_more_than_the_strangest():
     crawling = clues_of(column(seen=1e-6))
-    assert (np.abs(crawling.logs) <= FARTHEST).all()
-    assert np.isfinite(Pace(np.ones(6), np.ones(6)).of(crawling))
+    assert np.abs(crawling.logs).max() <= FARTHEST
+    assert np.isfinite(Pace(np.ones(5), np.ones(5)).of(crawling))
     falling = clues_of(column(bands=lambda z, t: rising(z, -t)))
     assert falling.carried < 0
-    assert falling.logs[2] == -FARTHEST[2]
+    assert falling.logs[2] == -FARTHEST
