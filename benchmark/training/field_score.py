@@ -44,6 +44,11 @@ def score(field: FlowField, dataset: Dataset) -> Score:
     return Score(*np.mean(results, 0).tolist())
 
 
+def mean_speed(velocity: np.ndarray, emission: np.ndarray) -> float:
+    """Return the mean speed of velocity (F, V, 3), weighted by emission (F, V)."""
+    return float((emission * np.linalg.norm(velocity, axis=-1)).sum() / emission.sum())
+
+
 def fluctuation_cos_sim(field: FlowField, dataset: Dataset) -> float:
     """Cosine of what is left of both velocities without the clip's mean of every height, weighted by emission."""
     layer, emission = field.voxels.index[:, 2], field.emission

@@ -38,6 +38,7 @@ from gof_benchmark.training.field_score import (
     buoyant_law,
     fluctuation_cos_sim,
     mean_per_height,
+    mean_speed,
     open_small,
     preview_field,
     score,
@@ -219,11 +220,6 @@ def pace_error(clip: TrainingClip, pace: Pace, metres: bool = True) -> np.ndarra
     """Log of estimated over true pace of each flame."""
     found = pace.side_by_side([flame.clues for flame in clip.flames], metres)
     return np.log(found) - np.log([flame.pace for flame in clip.flames])
-
-
-def mean_speed(velocity: np.ndarray, emission: np.ndarray) -> float:
-    """Return the mean speed of velocity (F, V, 3), weighted by emission (F, V)."""
-    return float((emission * np.linalg.norm(velocity, axis=-1)).sum() / emission.sum())
 
 
 Layers = list[tuple[torch.Tensor, torch.Tensor]]
