@@ -25,7 +25,7 @@ from gof.core.fields import CHUNK, SAME_TIME_S, GridSequence, VelocitySequence, 
 from gof.core.gaussians import MovingGaussians
 from gof.evaluate.draws import own_generator
 from gof.evaluate.sparse_grid import StoredField
-from gof.evaluate.visible import mean_velocity, opacity_per_metre
+from gof.evaluate.visible import opacity_per_metre
 
 GRADIENTS = 128  # places per frame, six velocities each
 EXPONENT = 1.3  # light over flame reaction in grids of before they said it themselves (`light_exponent`)
@@ -157,8 +157,8 @@ def score_gradients(
             sides = six_sides(places, field.voxel_size)
             state = gaussians.state_at(time_s)
             seen = opacity_per_metre(sides, state, time_s)
-            velocity = mean_velocity(seen, state.moving_gas)
-            known = (seen.getnnz(1) > 0).reshape(6, -1).all(0)
+            velocity = seen.mean_velocity(state.moving_gas)
+            known = (seen.total() > 0).reshape(6, -1).all(0)
             found = gradient(velocity, field.voxel_size) * known[:, None, None]
             true = gradient(field.sample(sides).astype(np.float64), field.voxel_size)
             sums += _squares(found, true)

@@ -29,7 +29,7 @@ from gof.evaluate.dve_frame import DVEResult, Sums, agreement_sums
 from gof.evaluate.emission import FlameGrid
 from gof.evaluate.expectation import expected_velocity
 from gof.evaluate.sparse_grid import StoredField
-from gof.evaluate.visible import mean_velocity, opacity_per_metre
+from gof.evaluate.visible import opacity_per_metre
 
 PLACES = 1024  # of a clip, each asked at every frame in which it burns
 GROUPS = 8  # of places, each spread over the whole flame; they tell how exact the sums are
@@ -133,10 +133,10 @@ def score_eve(
     for k, time_s in enumerate(map(float, places.times_s)):
         rows = np.flatnonzero(places.light[k])
         state = gaussians.state_at(time_s)
-        density = opacity_per_metre(places.position[rows], state, time_s)
-        there[k, rows] = np.asarray(density.sum(1)).ravel()
-        for name, velocity in _said(state, truth, time_s, density.indices).items():
-            answers.setdefault(name, np.zeros_like(places.truth))[k, rows] = mean_velocity(density, velocity)
+        visible = opacity_per_metre(places.position[rows], state, time_s)
+        there[k, rows] = visible.total()
+        for name, velocity in _said(state, truth, time_s, visible.gaussian).items():
+            answers.setdefault(name, np.zeros_like(places.truth))[k, rows] = visible.mean_velocity(velocity)
         if progress:
             progress(k + 1, len(places.times_s))
     mean = (places.light * there).sum() / max(places.light.sum(), 1e-300)

@@ -136,8 +136,8 @@ def _light_of_cells(
         centres = np.stack(np.meshgrid(*map(np.arange, shape), indexing="ij"), -1).reshape(-1, 3) + 0.5
         centres = centres @ to_world[:3, :3].T + to_world[:3, 3]
         alpha = state.at(time_s)[1][shining.rows[wide]].astype(np.float64)
-        density = opacity_per_metre(centres, state[shining.rows[wide]], time_s)
-        found = found + (density @ (shining.brightness[wide] / alpha)).reshape(shape) * cell**3
+        visible = opacity_per_metre(centres, state[shining.rows[wide]], time_s)
+        found = found + visible.weighted(shining.brightness[wide] / alpha).reshape(shape) * cell**3
     return found
 
 
