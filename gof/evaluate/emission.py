@@ -24,7 +24,7 @@ from gof.core.errors import DataFormatError
 from gof.core.fields import CHUNK, SAME_TIME_S, GridSequence, VelocitySequence, open_array
 from gof.core.gaussians import MovingGaussians
 from gof.evaluate.draws import own_generator
-from gof.evaluate.sparse_grid import StoredField
+from gof.evaluate.sparse_grid import StoredFields, fields_of
 from gof.evaluate.visible import opacity_per_metre
 
 GRADIENTS = 128  # places per frame, six velocities each
@@ -136,7 +136,7 @@ def flame_grid(folder: Path, datum: Datum) -> FlameGrid | None:
 
 def score_gradients(
     gaussians: MovingGaussians,
-    truth: VelocitySequence,
+    truth: VelocitySequence | StoredFields,
     flame: FlameGrid,
     times_s: np.ndarray,
     seed: int = 0,
@@ -148,12 +148,12 @@ def score_gradients(
     Raises:
         DataFormatError: see `FlameGrid.places`.
     """
-    rng = own_generator("places of gradients", seed)
+    rng, fields = own_generator("places of gradients", seed), fields_of(truth)
     sums, uncovered, count = np.zeros(5), 0, 0
     for k, time_s in enumerate(map(float, times_s)):
         places = flame.places(time_s, GRADIENTS, rng)
         if len(places):
-            field = StoredField(truth, time_s)
+            field = fields.at(time_s)
             sides = six_sides(places, field.voxel_size)
             state = gaussians.state_at(time_s)
             seen = opacity_per_metre(sides, state, time_s)
