@@ -28,6 +28,7 @@ from gof.evaluate.sparse_grid import StoredFields, fields_of
 from gof.evaluate.visible import opacity_per_metre
 
 GRADIENTS = 128  # places per frame, six velocities each
+KEPT_BYTES = 1 << 26  # of light that was read: every score of a clip goes through its frames
 EXPONENT = 1.3  # light over flame reaction in grids of before they said it themselves (`light_exponent`)
 
 
@@ -63,13 +64,22 @@ class FlameGrid(GridSequence):
             raise DataFormatError(f"{path}: light_exponent of zarr.json is no number ({e})") from e
         if not 0 < self.light_exponent < 10:
             raise DataFormatError(f"{path}: light_exponent {self.light_exponent:g} of zarr.json must lie in (0, 10)")
+        self._kept: dict[int, tuple[np.ndarray, np.ndarray]] = {}  # of frames, as `light` gives it
 
     def light(self, frame: int) -> tuple[np.ndarray, np.ndarray]:
-        """Return the cells (K, 3) of a stored frame that burn, and their light (K,), > 0.
+        """Return the cells (K, 3) of a stored frame that burn, and their light (K,), > 0; neither may be changed.
 
         Raises:
             DataFormatError: the frame holds NaN or negative values.
         """
+        if frame not in self._kept:
+            found = self._read(frame)
+            if sum(array.nbytes for pair in (found, *self._kept.values()) for array in pair) > KEPT_BYTES:
+                return found
+            self._kept[frame] = found
+        return self._kept[frame]
+
+    def _read(self, frame: int) -> tuple[np.ndarray, np.ndarray]:
         cells, shine = [], []
         for x in range(0, self.resolution[0], CHUNK):  # a layer of chunks at a time, and of it what burns
             flame = self.cells(frame, slice(x, x + CHUNK)).astype(np.float32)
