@@ -51,7 +51,7 @@ def screen_velocities(
 
     Args:
         gaussians: Gaussians (N); static ones hide what is behind them, and count for nothing.
-        velocities: each (N, 3) m/s; where they are drawn does not change.
+        velocities: at most four, each (N, 3) m/s; where they are drawn does not change.
     Returns:
         One for each; J is the derivative of the pixel with respect to the world point, at each centre.
     """
