@@ -11,6 +11,7 @@ from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 
@@ -123,7 +124,7 @@ class StoredFields:
         return field
 
 
-def fields_of(truth):
+def fields_of(truth: Any) -> Any:
     """Return what has `.times_s` and `.at(time_s)` as it is; of a store, its `StoredFields`."""
     return StoredFields(truth) if isinstance(truth, VelocitySequence) else truth
 
@@ -222,7 +223,7 @@ def pool_bytes(field: StoredField) -> int:
     return field.__dict__["_pool"].cells.nbytes if "_pool" in field.__dict__ else 0
 
 
-def _bytes(field, needed: np.ndarray) -> int:
+def _bytes(field: VelocityField | StoredField, needed: np.ndarray) -> int:
     return int(needed.sum()) * EDGE**3 * 4 * np.dtype(_dtype(field)).itemsize
 
 

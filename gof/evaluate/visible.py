@@ -13,7 +13,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from itertools import chain
-from typing import TypeAlias
+from typing import Any, TypeAlias
 
 import numpy as np
 
@@ -100,7 +100,9 @@ def pairs_plain(
     return place, gaussian, drawn
 
 
-def _of_some(points: np.ndarray, tree, position: np.ndarray, alpha: np.ndarray, scale: np.ndarray, rotation) -> Pairs:
+def _of_some(
+    points: np.ndarray, tree: Any, position: np.ndarray, alpha: np.ndarray, scale: np.ndarray, rotation: np.ndarray
+) -> Pairs:
     """Return the pairs of some Gaussians alone."""
     scale, strength, every = scale.astype(np.float64), alpha.astype(np.float64), np.arange(len(alpha))
     limit = 2 * np.log(np.maximum(strength / DRAWN, 1.0))  # of the Mahalanobis distance, squared
