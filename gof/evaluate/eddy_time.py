@@ -11,7 +11,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.linalg import toeplitz
 
 from gof.core.errors import GofError
 from gof.dataset import Dataset
@@ -75,6 +74,8 @@ def _autocovariance(history: np.ndarray) -> np.ndarray:
 
 def _expected_autocovariance(count: int, eddy_frames: float) -> np.ndarray:
     """Return the mean of `_autocovariance` for a series with correlation exp(-lag / eddy_frames)."""
+    from scipy.linalg import toeplitz  # here: it takes long to load
+
     taken = np.eye(count) - 1 / count
     rest = taken @ toeplitz(np.exp(-np.arange(count) / eddy_frames)) @ taken
     return np.array([np.diagonal(rest, lag).mean() for lag in range(count)])

@@ -24,10 +24,11 @@ from gof.core.errors import DataFormatError
 from gof.core.fields import CHUNK, SAME_TIME_S, GridSequence, VelocitySequence, open_array
 from gof.core.gaussians import MovingGaussians
 from gof.evaluate.draws import own_generator
-from gof.evaluate.sparse_grid import StoredField
-from gof.evaluate.visible import mean_velocity, opacity_per_metre
+from gof.evaluate.sparse_grid import StoredFields, fields_of
+from gof.evaluate.visible import opacity_per_metre
 
 GRADIENTS = 128  # places per frame, six velocities each
+KEPT_BYTES = 1 << 26  # of light that was read: every score of a clip goes through its frames
 EXPONENT = 1.3  # light over flame reaction in grids of before they said it themselves (`light_exponent`)
 
 
@@ -63,13 +64,22 @@ class FlameGrid(GridSequence):
             raise DataFormatError(f"{path}: light_exponent of zarr.json is no number ({e})") from e
         if not 0 < self.light_exponent < 10:
             raise DataFormatError(f"{path}: light_exponent {self.light_exponent:g} of zarr.json must lie in (0, 10)")
+        self._kept: dict[int, tuple[np.ndarray, np.ndarray]] = {}  # of frames, as `light` gives it
 
     def light(self, frame: int) -> tuple[np.ndarray, np.ndarray]:
-        """Return the cells (K, 3) of a stored frame that burn, and their light (K,), > 0.
+        """Return the cells (K, 3) of a stored frame that burn, and their light (K,), > 0; neither may be changed.
 
         Raises:
             DataFormatError: the frame holds NaN or negative values.
         """
+        if frame not in self._kept:
+            found = self._read(frame)
+            if sum(array.nbytes for pair in (found, *self._kept.values()) for array in pair) > KEPT_BYTES:
+                return found
+            self._kept[frame] = found
+        return self._kept[frame]
+
+    def _read(self, frame: int) -> tuple[np.ndarray, np.ndarray]:
         cells, shine = [], []
         for x in range(0, self.resolution[0], CHUNK):  # a layer of chunks at a time, and of it what burns
             flame = self.cells(frame, slice(x, x + CHUNK)).astype(np.float32)
@@ -136,7 +146,7 @@ def flame_grid(folder: Path, datum: Datum) -> FlameGrid | None:
 
 def score_gradients(
     gaussians: MovingGaussians,
-    truth: VelocitySequence,
+    truth: VelocitySequence | StoredFields,
     flame: FlameGrid,
     times_s: np.ndarray,
     seed: int = 0,
@@ -148,17 +158,17 @@ def score_gradients(
     Raises:
         DataFormatError: see `FlameGrid.places`.
     """
-    rng = own_generator("places of gradients", seed)
+    rng, fields = own_generator("places of gradients", seed), fields_of(truth)
     sums, uncovered, count = np.zeros(5), 0, 0
     for k, time_s in enumerate(map(float, times_s)):
         places = flame.places(time_s, GRADIENTS, rng)
         if len(places):
-            field = StoredField(truth, time_s)
+            field = fields.at(time_s)
             sides = six_sides(places, field.voxel_size)
             state = gaussians.state_at(time_s)
             seen = opacity_per_metre(sides, state, time_s)
-            velocity = mean_velocity(seen, state.moving_gas)
-            known = (seen.getnnz(1) > 0).reshape(6, -1).all(0)
+            velocity = seen.mean_velocity(state.moving_gas)
+            known = (seen.total() > 0).reshape(6, -1).all(0)
             found = gradient(velocity, field.voxel_size) * known[:, None, None]
             true = gradient(field.sample(sides).astype(np.float64), field.voxel_size)
             sums += _squares(found, true)

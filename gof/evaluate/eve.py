@@ -28,8 +28,8 @@ from gof.evaluate.draws import own_generator
 from gof.evaluate.dve_frame import DVEResult, Sums, agreement_sums
 from gof.evaluate.emission import FlameGrid
 from gof.evaluate.expectation import expected_velocity
-from gof.evaluate.sparse_grid import StoredField
-from gof.evaluate.visible import mean_velocity, opacity_per_metre
+from gof.evaluate.sparse_grid import StoredField, StoredFields, fields_of
+from gof.evaluate.visible import opacity_per_metre
 
 PLACES = 1024  # of a clip, each asked at every frame in which it burns
 GROUPS = 8  # of places, each spread over the whole flame; they tell how exact the sums are
@@ -62,7 +62,12 @@ class ClipPlaces:
 
     @classmethod
     def draw(
-        cls, truth: VelocitySequence, flame: FlameGrid, times_s: np.ndarray, count: int = PLACES, seed: int = 0
+        cls,
+        truth: VelocitySequence | StoredFields,
+        flame: FlameGrid,
+        times_s: np.ndarray,
+        count: int = PLACES,
+        seed: int = 0,
     ) -> ClipPlaces:
         """Draw equally many from every frame's light.
 
@@ -73,7 +78,7 @@ class ClipPlaces:
             DataFormatError: see `FlameGrid.places`.
         """
         rng = own_generator("places of the clip", seed)
-        times_s = np.asarray(times_s, np.float64)
+        fields, times_s = fields_of(truth), np.asarray(times_s, np.float64)
         each = -(-count // len(times_s))
         drawn = [flame.places(float(time_s), each, rng) for time_s in times_s]
         position = np.concatenate([np.zeros((0, 3)), *drawn])
@@ -85,7 +90,7 @@ class ClipPlaces:
         velocity = np.zeros((*light.shape, 3))
         for k, time_s in enumerate(times_s):
             rows = np.flatnonzero(light[k])
-            velocity[k, rows] = StoredField(truth, float(time_s)).sample(position[rows])
+            velocity[k, rows] = fields.at(float(time_s)).sample(position[rows])
         return cls(times_s, position, light, velocity)
 
 
@@ -112,7 +117,7 @@ class EveResult:
 
 def score_eve(
     gaussians: MovingGaussians,
-    truth: VelocitySequence,
+    truth: VelocitySequence | StoredFields,
     flame: FlameGrid,
     times_s: np.ndarray,
     places: ClipPlaces | None = None,
@@ -127,16 +132,17 @@ def score_eve(
     Raises:
         DataFormatError: see `FlameGrid.places`.
     """
-    places = ClipPlaces.draw(truth, flame, times_s) if places is None else places
+    fields = fields_of(truth)
+    places = ClipPlaces.draw(fields, flame, times_s) if places is None else places
     answers: dict[str, np.ndarray] = {}
     there = np.zeros(places.light.shape)
     for k, time_s in enumerate(map(float, places.times_s)):
         rows = np.flatnonzero(places.light[k])
         state = gaussians.state_at(time_s)
-        density = opacity_per_metre(places.position[rows], state, time_s)
-        there[k, rows] = np.asarray(density.sum(1)).ravel()
-        for name, velocity in _said(state, truth, time_s, density.indices).items():
-            answers.setdefault(name, np.zeros_like(places.truth))[k, rows] = mean_velocity(density, velocity)
+        visible = opacity_per_metre(places.position[rows], state, time_s)
+        there[k, rows] = visible.total()
+        for name, velocity in _said(state, fields.at(time_s), time_s, visible.gaussian).items():
+            answers.setdefault(name, np.zeros_like(places.truth))[k, rows] = visible.mean_velocity(velocity)
         if progress:
             progress(k + 1, len(places.times_s))
     mean = (places.light * there).sum() / max(places.light.sum(), 1e-300)
@@ -146,7 +152,7 @@ def score_eve(
     return _result(places, answers, empty)
 
 
-def _said(state: TransientGaussians, truth: VelocitySequence, time_s: float, seen: np.ndarray) -> dict[str, np.ndarray]:
+def _said(state: TransientGaussians, field: StoredField, time_s: float, seen: np.ndarray) -> dict[str, np.ndarray]:
     """Return the velocities (N, 3) that Gaussians are asked for; "true_centre" of the `seen` rows alone."""
     moving = state.dynamic[:, None]
     said = {"own": state.moving_gas.astype(np.float64)}
@@ -155,7 +161,7 @@ def _said(state: TransientGaussians, truth: VelocitySequence, time_s: float, see
     rows = np.unique(seen)
     position = state.at(time_s)[0][rows].astype(np.float64)
     said["true_centre"] = np.zeros((len(state), 3))
-    found = expected_velocity(StoredField(truth, time_s), position, state.scale[rows], state.rotation[rows], 1)
+    found = expected_velocity(field, position, state.scale[rows], state.rotation[rows], 1)
     said["true_centre"][rows] = found.centre
     return said
 

@@ -15,7 +15,6 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.ndimage import binary_dilation
 
 from gof.core.colour import srgb_to_linear
 from gof.core.gaussians import MovingGaussians, TransientGaussians
@@ -136,8 +135,8 @@ def _light_of_cells(
         centres = np.stack(np.meshgrid(*map(np.arange, shape), indexing="ij"), -1).reshape(-1, 3) + 0.5
         centres = centres @ to_world[:3, :3].T + to_world[:3, 3]
         alpha = state.at(time_s)[1][shining.rows[wide]].astype(np.float64)
-        density = opacity_per_metre(centres, state[shining.rows[wide]], time_s)
-        found = found + (density @ (shining.brightness[wide] / alpha)).reshape(shape) * cell**3
+        visible = opacity_per_metre(centres, state[shining.rows[wide]], time_s)
+        found = found + visible.weighted(shining.brightness[wide] / alpha).reshape(shape) * cell**3
     return found
 
 
@@ -168,7 +167,8 @@ def _compare(state: TransientGaussians, flame: FlameGrid, time_s: float, forward
     ours = _light_of_cells(shining, state, time_s, to_world, shape)
     total = shining.light.sum()
     ours /= total if total > 0 else 1.0
-    near = binary_dilation(true > DARK * true.max(), np.ones((3, 3, 3), bool))
+    lit = np.pad(true > DARK * true.max(), 1)
+    near = np.lib.stride_tricks.sliding_window_view(lit, (3, 3, 3)).any((3, 4, 5))
     true_places = (cells + 0.5) @ flame.index_to_world[:3, :3].T + flame.index_to_world[:3, 3]
     return _Frame(
         error=((ours - true) ** 2).sum(),

@@ -36,6 +36,7 @@ from gof.evaluate.scores import (
 )
 from gof.evaluate.sequence import dve_sequence, sanity_warnings
 from gof.evaluate.settled import against_motion, settle
+from gof.evaluate.sparse_grid import StoredFields
 from gof.evaluate.trivial_baselines import TRIVIAL_BASELINES, skill
 from gof.io.importers import ImportOptions, read_result
 from gof.io.importers.alignment import align_cameras, read_cameras, require_same_world
@@ -229,21 +230,24 @@ def _score_motion(
     truth, flame = dataset.velocity, flame_grid(dataset.path, dataset.datum)
     with timed(costs, "dve"):
         times_s = _scored_times(truth, dataset)
-        sequence = dve_sequence(gaussians, truth, times_s, order, opacity, progress=partial(progress, stage="DVE"))
+        fields = StoredFields(truth)
+        sequence = dve_sequence(gaussians, fields, times_s, order, opacity, progress=partial(progress, stage="DVE"))
         times_s = np.array(sequence.times_s)
     figures: dict[str, Any] = {}
     eve, gradients = None, None
     if flame is not None:
         with timed(costs, "eve"):
-            eve = score_eve(gaussians, truth, flame, times_s, progress=partial(progress, stage="EVE"))
+            eve = score_eve(gaussians, fields, flame, times_s, progress=partial(progress, stage="EVE"))
         with timed(costs, "light"):
             middle = dataset.cameras[len(dataset.cameras) // 2].world_to_camera[2, :3]
             light = score_light(gaussians, flame, times_s, middle, partial(progress, stage="light"))
             figures["light"] = None if light is None else LightScore(**asdict(light))
         with timed(costs, "gradients"):
-            gradients = score_gradients(gaussians, truth, flame, times_s, progress=partial(progress, stage="gradients"))
+            gradients = score_gradients(
+                gaussians, fields, flame, times_s, progress=partial(progress, stage="gradients")
+            )
     with timed(costs, "quadrature"):
-        settled = settle(gaussians, truth, sequence.probed, sequence.pooled, order)
+        settled = settle(gaussians, fields, sequence.probed, sequence.pooled, order)
     figures["dve"] = replace(
         _velocity_score(sequence, dataset.datum.time_s, order, opacity, eve, gradients),
         settled=settled,

@@ -9,10 +9,9 @@ from dataclasses import replace
 import numpy as np
 
 from gof.core.errors import GofError
-from gof.core.fields import VelocitySequence
 from gof.core.gaussians import MovingGaussians
 from gof.evaluate.dve_frame import DVEResult, DVESequence, Opacity, Samples, Sums, probe, weighted_sums
-from gof.evaluate.sparse_grid import StoredField
+from gof.evaluate.sparse_grid import fields_of
 from gof.evaluate.trivial_baselines import fluctuation, score_trivial_baselines
 
 
@@ -54,14 +53,12 @@ def dve_sequence(
     times = times[(times >= first - 1e-6) & (times <= last + 1e-6)]
     if len(times) == 0:
         raise GofError(f"no scored time lies within the trajectory's {first:g}..{last:g} s")
-    frames: list[Samples] = []
+    fields, frames = fields_of(sequence), list[Samples]()
     results: list[DVEResult] = []
     pooled = inside = Sums()
     for k, time_s in enumerate(times):
         # of a store only the chunks that Gaussians touch are read
-        stored = isinstance(sequence, VelocitySequence)
-        field = StoredField(sequence, float(time_s)) if stored else sequence.at(float(time_s))
-        samples = probe(gaussians, field, float(time_s), order, opacity, include_static)
+        samples = probe(gaussians, fields.at(float(time_s)), float(time_s), order, opacity, include_static)
         if trivial_baselines:
             frames.append(samples)
         own = weighted_sums(samples)

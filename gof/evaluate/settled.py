@@ -11,13 +11,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from gof.core.fields import VelocitySequence
 from gof.core.gaussians import MovingGaussians
 from gof.evaluate.draws import own_generator
 from gof.evaluate.dve_frame import DVEResult, Samples, Sums, agreement_sums
 from gof.evaluate.expectation import expected_velocity
 from gof.evaluate.quadrature import ORDERS
-from gof.evaluate.sparse_grid import StoredField
+from gof.evaluate.sparse_grid import fields_of
 
 SAMPLE = 1000  # Gaussians per frame
 HOLDS = 0.0005  # change of a figure that three printed digits do not show
@@ -46,13 +45,13 @@ def settle(
     orders = [order, *(more for more in ORDERS if more > order)]
     if scored.l2 is None or scored.cos_sim is None or len(orders) < 2:
         return None
-    rng = own_generator("sample of the quadrature")
+    rng, fields = own_generator("sample of the quadrature"), fields_of(sequence)
     picked = [_by_weight(frame, rng) for frame in frames]
     found: list[tuple[float, float]] = []
     for nodes in orders:
         sums = Sums()
         for frame, rows in zip(frames, picked, strict=True):
-            truth = frame.truth[rows] if nodes == order else _truth(gaussians, sequence, frame, rows, nodes)
+            truth = frame.truth[rows] if nodes == order else _truth(gaussians, fields, frame, rows, nodes)
             share = np.full(len(rows), frame.weight.sum() / max(len(rows), 1))
             sums = sums + agreement_sums(share, frame.velocity[rows], truth)
         result = DVEResult.from_sums(sums)
@@ -75,12 +74,10 @@ def _by_weight(frame: Samples, rng: np.random.Generator) -> np.ndarray:
     return np.minimum(np.searchsorted(total, level, side="right"), len(total) - 1)
 
 
-def _truth(gaussians: MovingGaussians, sequence, frame: Samples, rows: np.ndarray, order: int) -> np.ndarray:
+def _truth(gaussians: MovingGaussians, fields, frame: Samples, rows: np.ndarray, order: int) -> np.ndarray:
     state, index = gaussians.state_at(frame.time_s), frame.index[rows]
-    stored = isinstance(sequence, VelocitySequence)
-    field = StoredField(sequence, frame.time_s) if stored else sequence.at(frame.time_s)
     scale = state.scale[index].astype(np.float64)
-    return expected_velocity(field, frame.position[rows], scale, state.rotation[index], order).mean
+    return expected_velocity(fields.at(frame.time_s), frame.position[rows], scale, state.rotation[index], order).mean
 
 
 def against_motion(gaussians: MovingGaussians, frames: Sequence[Samples]) -> DVEResult:

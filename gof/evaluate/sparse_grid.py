@@ -11,6 +11,7 @@ from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 
@@ -18,6 +19,7 @@ from gof.core.fields import CHUNK, VelocityField, VelocitySequence
 
 EDGE = CHUNK + 1
 POOL_BYTES = 1 << 30  # larger pools are worked through in parts
+KEPT_BYTES = 1 << 28  # of the fields of other times
 FAR = 1e6  # cells, exact in float32; what is farther out is put here, where no node of a sane Gaussian reaches the grid
 FEW = 4  # chunks of a grid so small that finding out which are touched takes longer than reading them all
 MARGIN = 2  # cells around what is asked for: the upper corners
@@ -99,6 +101,34 @@ class StoredField:
         return out
 
 
+class StoredFields:
+    """The fields of a store by time, each with what was read of it for as long as all that fits into KEPT_BYTES.
+
+    Every score of a clip goes through its frames, and asks for about the same chunks.
+    """
+
+    def __init__(self, sequence: VelocitySequence):
+        self.sequence = sequence
+        self._kept: dict[float, StoredField] = {}
+
+    @property
+    def times_s(self) -> np.ndarray:
+        return self.sequence.times_s
+
+    def at(self, time_s: float) -> StoredField:
+        """Return the field of a time. Raises DataFormatError, when it is read: outside of the stored clock."""
+        field = self._kept.pop(time_s, None) or StoredField(self.sequence, time_s)
+        while self._kept and sum(pool_bytes(other) for other in self._kept.values()) > KEPT_BYTES:
+            del self._kept[next(iter(self._kept))]  # the one that was longest not asked for
+        self._kept[time_s] = field
+        return field
+
+
+def fields_of(truth: Any) -> Any:
+    """Return what has `.times_s` and `.at(time_s)` as it is; of a store, its `StoredFields`."""
+    return StoredFields(truth) if isinstance(truth, VelocitySequence) else truth
+
+
 @dataclass
 class Pool:
     """Bricks in memory: cells (slots, EDGE, EDGE, EDGE, 4) float16 or float32, the last one unused; slot 0 is empty."""
@@ -164,7 +194,7 @@ def _flat(number: np.ndarray, shape) -> np.ndarray:
 def parts(field, low: np.ndarray, high: np.ndarray, rows: np.ndarray) -> Iterator[tuple[np.ndarray, np.ndarray]]:
     """`rows` with the chunks they touch, halved along the longest side until each part's chunks fit into the pool."""
     needed = touched_chunks(field, low[rows], high[rows])
-    if int(needed.sum()) * EDGE**3 * 4 * np.dtype(_dtype(field)).itemsize > POOL_BYTES:
+    if _bytes(field, needed) > POOL_BYTES:
         middle = low[rows] + (high[rows] - low[rows]) // 2
         spread = np.ptp(middle, axis=0)
         if spread.max() >= CHUNK:  # below, halving cannot help
@@ -175,15 +205,26 @@ def parts(field, low: np.ndarray, high: np.ndarray, rows: np.ndarray) -> Iterato
 
 
 def pool_of(field: VelocityField | StoredField, needed: np.ndarray) -> Pool:
-    """Return the pool for chunks of `touched_chunks`; a stored field keeps its last one: its frame is asked for
-    twice."""
+    """Return a pool for chunks of `touched_chunks`; a stored field keeps its last one, and reads those of it again
+    where that fits: its frame is asked for many times."""
     if not isinstance(field, StoredField):
         return _fill(field, needed)
     state = field.__dict__
-    if "_pool" not in state or (needed & ~state["_pool"].held).any():
+    held = state["_pool"].held if "_pool" in state else np.zeros_like(needed)
+    if "_pool" not in state or (needed & ~held).any():
         state.pop("_pool", None)  # first: both at once would be the peak of the memory
-        state["_pool"] = _fill(field, needed)
+        both = needed | held
+        state["_pool"] = _fill(field, both if _bytes(field, both) <= POOL_BYTES else needed)
     return state["_pool"]
+
+
+def pool_bytes(field: StoredField) -> int:
+    """Return how large what was read of a field may be."""
+    return field.__dict__["_pool"].cells.nbytes if "_pool" in field.__dict__ else 0
+
+
+def _bytes(field: VelocityField | StoredField, needed: np.ndarray) -> int:
+    return int(needed.sum()) * EDGE**3 * 4 * np.dtype(_dtype(field)).itemsize
 
 
 def _dtype(field) -> type:
@@ -216,8 +257,12 @@ def _fill(field: VelocityField | StoredField, needed: np.ndarray) -> Pool:
                 cells[slot, :x, :y, :z, k] = chunk[..., k]
         return chunk is not None
 
-    with ThreadPoolExecutor(os.cpu_count()) as threads:  # decompression and copying run without Python's lock
-        full = list(threads.map(load, range(1, len(numbers) + 1)))
+    slots = range(1, len(numbers) + 1)
+    if len(numbers) > 1:
+        with ThreadPoolExecutor(os.cpu_count()) as threads:  # decompression and copying run without Python's lock
+            full = list(threads.map(load, slots))
+    else:  # threads would cost more than the chunk
+        full = [load(slot) for slot in slots]
     slot_of = {number: slot for slot, number in enumerate(numbers, 1)}
     filled = {number for number, has_flow in zip(numbers, full, strict=True) if has_flow}
     table = np.zeros(needed.shape, np.uint32)

@@ -184,7 +184,7 @@ ORDER, OPACITY = 3, "temporal"  # of every score; nothing in a submission choose
 SEEDS = 3  # runs of a method whose training is random
 ALIKE_DB = 40.0  # PSNR, whole and in the flame, of a submitted picture against ours of the same Gaussians
 SAME = 0.005  # relative: what another CPU may change of a score
-FIGURES = ("l2", "cos_sim")  # of the velocities; and of the pictures:
+FIGURES = ("l2", "cos_sim")  # of the velocities, by DVE and by EVE; and of the pictures:
 PICTURE_FIGURES = ("psnr", "psnr_flame", "ssim", "ssim_flame")
 
 
@@ -389,6 +389,8 @@ def _scores(run: Run, again: Scores, name: str) -> Iterator[Finding]:
 
 
 def _figures(scores: Scores) -> dict[str, float]:
-    found = {} if scores.dve is None else {name: getattr(scores.dve, name) for name in FIGURES}
+    dve, eve = scores.dve, None if scores.dve is None else scores.dve.eve
+    found = {} if dve is None else {name: getattr(dve, name) for name in FIGURES}
+    found |= {} if eve is None else {f"eve_{name}": getattr(eve, name) for name in FIGURES}
     found |= {name: getattr(scores, name) for name in PICTURE_FIGURES}
     return {name: value for name, value in found.items() if value is not None}

@@ -49,21 +49,21 @@ def score_trivial_baselines(
     donor[scored] = rng.permutation(scored)
 
     def own(frame: Samples) -> np.ndarray:
-        return gaussians.state_at(frame.time_s).moving_gas.astype(np.float64)
+        return gaussians.state_at(frame.time_s).moving_gas
 
     def light(frame: Samples) -> np.ndarray | None:
         state = gaussians.state_at(frame.time_s)
-        return None if state.gas_velocity is None else replace(state, gas_velocity=None).moving_gas.astype(np.float64)
+        return None if state.gas_velocity is None else np.where(state.dynamic[:, None], state.velocity, 0)
 
     weight = np.concatenate([f.weight for f in frames])
     truth = np.concatenate([f.truth for f in frames])
     constant = np.einsum("n,nk->k", weight / weight.sum(), truth)
-    height = _height_means(frames, truth, weight)
+    height = _height_means(_layers(frames), truth, weight)
     velocities = {
         "zero": [np.zeros_like(f.truth) for f in frames],
         "random": [direction[f.index] * np.linalg.norm(f.velocity, axis=1, keepdims=True) for f in frames],
-        "shuffled": [own(f)[donor[f.index]] for f in frames],
-        "light": [v[f.index] for f in frames if (v := light(f)) is not None],
+        "shuffled": [own(f)[donor[f.index]].astype(np.float64) for f in frames],
+        "light": [v[f.index].astype(np.float64) for f in frames if (v := light(f)) is not None],
         "constant": [np.broadcast_to(constant, f.truth.shape) for f in frames],
         "height_mean": _split(height, frames),
         "true_centre": [f.truth_centre for f in frames],
@@ -80,8 +80,9 @@ def fluctuation(frames: Sequence[Samples]) -> DVEResult:
     weight = np.concatenate([f.weight for f in frames])
     velocity = np.concatenate([f.velocity for f in frames])
     truth = np.concatenate([f.truth for f in frames])
-    v = velocity - _height_means(frames, velocity, weight)
-    t = truth - _height_means(frames, truth, weight)
+    layer = _layers(frames)
+    v = velocity - _height_means(layer, velocity, weight)
+    t = truth - _height_means(layer, truth, weight)
     noise = 1e-12  # rounding left by the subtraction is no fluctuation
     v[np.abs(v).max(1, initial=0) <= noise * np.abs(velocity).max(initial=0)] = 0
     t[np.abs(t).max(1, initial=0) <= noise * np.abs(truth).max(initial=0)] = 0
@@ -100,14 +101,18 @@ def skill(score: DVEResult, trivial_baseline: DVEResult) -> float | None:
     return 1 - (score.l2 / trivial_baseline.l2) ** 2
 
 
-def _height_means(frames: Sequence[Samples], values: np.ndarray, weight: np.ndarray) -> np.ndarray:
-    """Weighted mean of values (M, 3) in layers of equally many Gaussians, given back per Gaussian (M, 3)."""
+def _layers(frames: Sequence[Samples]) -> np.ndarray:
+    """Return the number of each Gaussian's layer (M,); layers hold equally many."""
     height = np.concatenate([f.position[:, 2] for f in frames])
     bins = int(np.clip(len(height) // MIN_PER_BIN, 1, HEIGHT_BINS))
     edges = np.quantile(height, np.linspace(0, 1, bins + 1)[1:-1]) if len(height) else []
-    layer = np.searchsorted(edges, height)
-    total = np.bincount(layer, weight, bins)
-    mean = np.stack([np.bincount(layer, weight * values[:, k], bins) for k in range(3)], 1)
+    return np.searchsorted(edges, height)
+
+
+def _height_means(layer: np.ndarray, values: np.ndarray, weight: np.ndarray) -> np.ndarray:
+    """Weighted mean of values (M, 3) in layers (M,), given back per Gaussian (M, 3)."""
+    total = np.bincount(layer, weight)
+    mean = np.stack([np.bincount(layer, weight * values[:, k]) for k in range(3)], 1)
     return (mean / np.where(total > 0, total, 1)[:, None])[layer]
 
 

@@ -6,7 +6,6 @@ from collections.abc import Callable
 from itertools import product
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from gof.dataset.poses import PointCheck
 from gof.footage.lens import Lens
@@ -207,6 +206,8 @@ def _meeting(matrices: np.ndarray, pixels: dict[int, np.ndarray]) -> np.ndarray:
 
 def _rigid(source: np.ndarray, target: np.ndarray) -> np.ndarray:
     """Return (4, 4) rotation and shift that bring points (N, 3) nearest to others (Kabsch)."""
+    from scipy.spatial.transform import Rotation  # here: it takes long to load
+
     middle, to = source.mean(0), target.mean(0)
     motion = np.eye(4)
     motion[:3, :3] = Rotation.align_vectors(target - to, source - middle)[0].as_matrix()

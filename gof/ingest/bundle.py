@@ -9,7 +9,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 MOST_STEPS = 200
 ENOUGH = 1e-7  # relative decrease of the cost below which the minimum is reached
@@ -65,6 +64,8 @@ class State:
 
 
 def _moved(poses: np.ndarray, step: np.ndarray) -> np.ndarray:
+    from scipy.spatial.transform import Rotation  # here: it takes long to load
+
     result = poses.copy()
     result[:, :3, :3] = Rotation.from_rotvec(step[:, :3]).as_matrix() @ poses[:, :3, :3] if len(poses) else 0
     result[:, :3, 3] += step[:, 3:]

@@ -6,7 +6,6 @@ from collections.abc import Collection, Iterable
 from pathlib import Path
 
 import numpy as np
-from scipy.ndimage import binary_fill_holes
 
 from gof.core.errors import DataFormatError
 from gof.core.numbered import is_hidden
@@ -40,6 +39,7 @@ def fire_reached(clip: Collection[np.ndarray], low: np.ndarray) -> np.ndarray:
         clip: (H, W, 3) uint8 RGB pictures.   low: (H, W, 3) uint8 minimum plate.
     """
     import cv2
+    from scipy.ndimage import binary_fill_holes  # here: it takes long to load
 
     warmest = np.full(low.shape[:2], -255, np.int16)
     base = low[..., 0].astype(np.int16) - low[..., 2]

@@ -68,11 +68,11 @@ def animate(
     for number, k in enumerate(frames):
         time_s = float(dataset.camera_times_s(camera_number)[k])
         alive = velocity_module.living(gaussians, time_s)
-        fields = [velocity_module.screen_velocity(alive, camera, time_s)]
+        velocities = [alive.moving_gas]
         if has_truth:
             centre, _ = alive.at(time_s)
-            true = expected_velocity(dataset.velocity.at(time_s), centre, alive.scale, alive.rotation).mean
-            fields.append(velocity_module.screen_velocity(alive, camera, time_s, true))
+            velocities.append(expected_velocity(dataset.velocity.at(time_s), centre, alive.scale, alive.rotation).mean)
+        fields = velocity_module.screen_velocities(alive, camera, time_s, velocities)
         drawn.append(
             (
                 [

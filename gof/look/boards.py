@@ -8,7 +8,6 @@ from dataclasses import dataclass, field
 from typing import NamedTuple
 
 import numpy as np
-from scipy.ndimage import gaussian_filter
 
 from gof.core.errors import GofError
 from gof.core.gaussians import TransientGaussians
@@ -302,6 +301,8 @@ class Volume(NamedTuple):
 def volume(gaussians: TransientGaussians, time_s: float) -> Volume:
     """Return the dynamic Gaussians that live at a time, summed into cubic cells and blurred by one cell; at least one
     must."""
+    from scipy.ndimage import gaussian_filter  # here: it takes long to load
+
     position, opacity = gaussians.at(time_s)
     weight = gaussians.scale.astype(np.float64).prod(1) * opacity * gaussians.dynamic
     keep = weight > 1e-9 * max(weight.sum(), 1e-300)

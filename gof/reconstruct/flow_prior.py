@@ -24,7 +24,6 @@ from pathlib import Path
 from zipfile import BadZipFile
 
 import numpy as np
-from scipy.ndimage import gaussian_filter1d
 
 from gof.core.errors import DataFormatError, GofError
 from gof.reconstruct.flame_axis import CrossSections, FlameAxis
@@ -216,6 +215,8 @@ class FlameDescriber:
         The vectors: along the axis; outward from the frame's own axis; the seen motion across the axis; along the lean
         of the clip's axis; outward from the clip's axis.
         """
+        from scipy.ndimage import gaussian_filter1d  # here: it takes long to load
+
         axis, layers, layer, speed = self.axis, self.axis.layers, self.axis.layers.nearest, self.axis.seen_speed
         frame = self.field.frames[f]
         emission = frame.emission
@@ -258,6 +259,8 @@ class FlameDescriber:
     @property
     def _lean(self) -> np.ndarray:
         """(S, 3) how far the clip's axis goes sideways per m of itself."""
+        from scipy.ndimage import gaussian_filter1d  # here: it takes long to load
+
         tangent = gaussian_filter1d(self.axis.layers.slope(self.axis.sections.middle), 4, axis=0)
         length = np.linalg.norm(tangent, axis=1, keepdims=True)
         return self.axis.layers.sideways(tangent / np.maximum(length, 1e-9))

@@ -5,7 +5,6 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from scipy.ndimage import gaussian_filter, gaussian_filter1d
 
 from gof.reconstruct.voxels import LAYERS_POOLED, FlameVoxels
 
@@ -68,6 +67,8 @@ def find_compact_emission(
 
     Args and returns: as `find_emission`; smooth, power, wider: see above.
     """
+    from scipy.ndimage import gaussian_filter  # here: it takes long to load
+
     hull, views = _hull_and_views(voxels, intensity, mask)
     emission = _maximise(hull.astype(np.float64), views, iterations)
     if not emission.any():
@@ -109,6 +110,8 @@ def round_flame(voxels: FlameVoxels, emission: np.ndarray) -> np.ndarray:
     side = np.linalg.norm(across, axis=-1) > 0.1 * np.linalg.norm(axis, axis=-1)
     if side.sum() < min(2, len(side)):
         return np.ones(len(emission))
+    from scipy.ndimage import gaussian_filter1d  # here: it takes long to load
+
     across = across[side] / np.linalg.norm(across[side], axis=-1, keepdims=True)
 
     def per_layer(values: np.ndarray) -> np.ndarray:

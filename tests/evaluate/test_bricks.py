@@ -9,7 +9,7 @@ from gof.evaluate import dve_sequence
 from gof.evaluate import sparse_grid as bricks
 from gof.evaluate.expectation import expected_velocity, expected_velocity_plain
 from gof.evaluate.grid_quadrature import expected_velocity_on_grid
-from gof.evaluate.sparse_grid import StoredField, cell_ranges, pool_of, touched_chunks
+from gof.evaluate.sparse_grid import StoredField, StoredFields, cell_ranges, pool_of, touched_chunks
 from tests.evaluate.analytic import Sequence, make_gaussians
 
 SHAPE = (150, 70, 130)  # 3 x 2 x 3 chunks, most of them cut off by the end of the grid
@@ -129,6 +129,41 @@ def test_sequence_scores_equal_those_of_whole_fields(store):
     whole = Sequence(store.times_s, store.at)
     a, b = dve_sequence(g, store), dve_sequence(g, whole)
     assert a.l2 == pytest.approx(b.l2, rel=1e-6) and a.cos_sim == pytest.approx(b.cos_sim, abs=1e-6)
+
+
+def test_frames_are_read_once_while_they_fit(tmp_path, monkeypatch):
+    """Three sweeps over two frames; what is asked for in addition is read with what was there before."""
+    values = [np.full((130, 4, 4, 3), speed, np.float32) for speed in (1, 2)]
+    frames = [VelocityField.from_array(v, (0, 0, 0), 1.0, t) for v, t in zip(values, (0.0, 0.1), strict=True)]
+    frames += [VelocityField.from_array(np.full((600, 4, 4, 3), 3, np.float32), (0, 0, 0), 1.0, 0.0)]
+    store = VelocitySequence.create(tmp_path / "v.zarr", frames[:2])
+    wide = VelocitySequence.create(tmp_path / "w.zarr", frames[2:])
+    read = []
+    monkeypatch.setattr(VelocitySequence, "chunk", _counted(VelocitySequence.chunk, read))
+
+    def sweep(fields):
+        return [fields.at(t).sample(np.full((1, 3), 2.0))[0, 0] for t in (0.0, 0.1)]
+
+    fields = StoredFields(store)
+    assert [sweep(fields) for _ in range(3)] == [[1, 2]] * 3
+    once = len(read)
+    monkeypatch.setattr(bricks, "KEPT_BYTES", 0)
+    fields = StoredFields(store)
+    assert [sweep(fields) for _ in range(3)] == [[1, 2]] * 3
+    assert len(read) - once == 3 * once  # none is kept
+    read.clear()
+    field = StoredFields(wide).at(0.0)
+    for x in (10.0, 500.0, 10.0, 500.0):
+        assert field.sample(np.array([[x, 2, 2]]))[0].tolist() == [3, 3, 3]
+    assert len(read) == len(set(read)) + 1  # the first chunk a second time, together with the last
+
+
+def _counted(chunk, read):
+    def of(self, index, number):
+        read.append((index, number))
+        return chunk(self, index, number)
+
+    return of
 
 
 def test_damaged_chunk_is_named_when_it_is_read(tmp_path):

@@ -23,7 +23,7 @@ from gof.evaluate.eve import ClipPlaces, score_eve
 from gof.evaluate.scores import Scores
 from gof.evaluate.sequence import dve_sequence
 from gof.evaluate.settled import against_motion, settle
-from gof.evaluate.visible import DRAWN, mean_velocity, opacity_per_metre
+from gof.evaluate.visible import DRAWN, Visible, opacity_per_metre, pairs_plain
 from gof.render.rasterizer import MIN_ALPHA
 from tests.evaluate.analytic import Analytic, Sequence, make_gaussians
 from tests.evaluate.synthetic_flame import flame_dataset, plume
@@ -60,15 +60,26 @@ def test_the_answer_of_overlapping_gaussians_by_hand():
     a = 0.8 * np.exp(-0.5 * ((0.05 / 0.1) ** 2 + (0.1 / 0.2) ** 2 + (0.02 / 0.05) ** 2)) / 0.1
     b = 0.4 * np.exp(-0.5 * ((0.05 / 0.2) ** 2 + (0.1 / 0.1) ** 2 + (0.02 / 0.1) ** 2)) / np.cbrt(0.002)
     k = opacity_per_metre(x, g, 0.0)
-    np.testing.assert_allclose(k.toarray()[0], [a, b, 0], rtol=1e-5)
-    assert k.getnnz(1).tolist() == [2, 0]
-    np.testing.assert_allclose(
-        mean_velocity(k, g.moving_gas), [[a / (a + b), 2 * b / (a + b), 0], [0, 0, 0]], rtol=1e-5
-    )
+    np.testing.assert_allclose(table(k, 3), [[a, b, 0], [0, 0, 0]], rtol=1e-5)
+    np.testing.assert_allclose(k.total(), [a + b, 0], rtol=1e-5)
+    np.testing.assert_allclose(k.weighted(np.array([1.0, 10.0, 100.0])), [a + 10 * b, 0], rtol=1e-5)
+    np.testing.assert_allclose(k.mean_velocity(g.moving_gas), [[a / (a + b), 2 * b / (a + b), 0], [0, 0, 0]], rtol=1e-5)
 
 
-def test_every_place_has_what_a_plain_sum_gives():
+def table(visible: Visible, gaussians: int) -> np.ndarray:
+    """Return k (M, N); a pair that comes twice is an error."""
+    whole = np.zeros((visible.places, gaussians))
+    assert len(set(zip(visible.place.tolist(), visible.gaussian.tolist(), strict=True))) == len(visible.place)
+    whole[visible.place, visible.gaussian] = visible.per_metre
+    return whole
+
+
+@pytest.mark.parametrize("compiled", [False, True])
+def test_every_place_has_what_a_plain_sum_gives(compiled, monkeypatch):
     """Against the definition, written out over all pairs."""
+    if compiled:
+        pytest.importorskip("numba")
+        monkeypatch.setattr("gof.evaluate.visible.COMPILED_FROM", 0)
     rng = np.random.default_rng(3)
     g = make_gaussians(
         200,
@@ -82,7 +93,40 @@ def test_every_place_has_what_a_plain_sum_gives():
     local = np.einsum("pni,nik->pnk", x[:, None] - position.astype(float), rotation_matrices(g.rotation)) / g.scale
     drawn = alpha * np.exp(-0.5 * (local**2).sum(-1))
     expected = np.where(drawn >= 1 / 255, drawn / np.cbrt(g.scale.astype(float).prod(1)), 0)
-    np.testing.assert_allclose(opacity_per_metre(x, g, 0.02).toarray(), expected, rtol=1e-4, atol=1e-9)
+    np.testing.assert_allclose(table(opacity_per_metre(x, g, 0.02), 200), expected, rtol=1e-4, atol=1e-9)
+
+
+@pytest.mark.parametrize("points", [1, 4000])
+def test_compiled_pairs_are_the_plain_ones(points):
+    """More pairs than there is room for at first, most Gaussians far from the points, needles, and a single point."""
+    pytest.importorskip("numba")
+    from gof.render.native.inside import points_inside
+
+    rng = np.random.default_rng(4)
+    g = make_gaussians(
+        3000,
+        position=rng.normal(size=(3000, 3)) * 3,
+        scale=np.exp(rng.uniform(-5, 1.5, (3000, 3))),
+        opacity=rng.uniform(0, 1, 3000),
+        rotation=rng.normal(size=(3000, 4)),
+    )
+    x = rng.normal(size=(points, 3))
+    position, alpha = g.at(0.02)
+    found = points_inside(x, position, alpha, g.scale, g.rotation, DRAWN)
+    place, gaussian, drawn = pairs_plain(x, position, alpha, g.scale, g.rotation)
+    by_pair = [np.lexsort(columns[:2]) for columns in (found, (place, gaussian))]
+    assert len(place) > (64 * points if points > 1 else 0)
+    np.testing.assert_array_equal(found[0][by_pair[0]], place[by_pair[1]])
+    np.testing.assert_array_equal(found[1][by_pair[0]], gaussian[by_pair[1]])
+    np.testing.assert_allclose(found[2][by_pair[0]], drawn[by_pair[1]], rtol=1e-9)
+
+
+def test_no_place_and_no_gaussian_have_no_pairs(monkeypatch):
+    monkeypatch.setattr("gof.evaluate.visible.COMPILED_FROM", 0)
+    g = make_gaussians(2, position=[[0, 0, 0], [9, 9, 9]], scale=[[0.1] * 3] * 2, opacity=[0.5, 0.0])
+    for x, state in ((np.zeros((0, 3)), g), (np.zeros((3, 3)), g[[1]]), (np.ones((3, 3)), g)):
+        found = opacity_per_metre(x, state, 0.0)
+        assert len(found.place) == 0 and found.total().tolist() == [0] * len(x)
 
 
 def test_one_vector_in_closed_form(column):  # noqa: F811

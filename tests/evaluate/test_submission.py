@@ -16,6 +16,7 @@ from gof.evaluate.scores import Scores
 from gof.evaluate.scoring import evaluate
 from gof.evaluate.submission import Run, Submission, check, picture_file, write_pictures
 from tests.evaluate.synthetic_flame import flame_dataset
+from tests.evaluate.test_emission import with_a_flame_grid
 
 pytestmark = pytest.mark.long
 METHOD = {
@@ -37,7 +38,7 @@ def scene(tmp_path_factory):
     """A dataset, and an honest submission of one run: the flame with its places and velocities disturbed."""
     folder = tmp_path_factory.mktemp("submission")
     truth = flame_dataset(folder / "data")
-    dataset = Dataset.open(folder / "data")
+    dataset = Dataset.open(with_a_flame_grid(folder / "data"))
     run = folder / "mine/plume"
     run.mkdir(parents=True)
     rng = np.random.default_rng(0)
@@ -108,13 +109,20 @@ def test_another_checkpoint_is_refused_twice(mine, scene):
     assert "checkpoint reproduces its pictures" in said and "scores reproduce: l2 is" in said
 
 
-def test_a_better_number_is_refused(mine, scene):
+@pytest.mark.parametrize(
+    ("changed", "named"), [("dve", "cos_sim is"), ("eve", "eve_cos_sim is"), ("no eve", "eve_l2 is")]
+)
+def test_a_better_number_is_refused(mine, scene, changed, named):
+    """A stated DVE and EVE are compared with ours; an EVE that is left out is asked for."""
     path = mine / "plume/scores.json"
     data = json.loads(path.read_text())
-    data["dve"]["cos_sim"] += 0.01
+    if changed == "no eve":
+        data["dve"]["eve"] = None
+    else:
+        (data["dve"]["eve"] if changed == "eve" else data["dve"])["cos_sim"] += 0.01
     path.write_text(json.dumps(data))
     (said,) = refused(mine, scene)
-    assert "scores reproduce: cos_sim is" in said
+    assert f"scores reproduce: {named}" in said
 
 
 def test_a_painted_picture_is_refused(mine, scene):

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from gof.core.colour import direction_colors
-from gof.look.velocity import MIN_ALPHA, ScreenVelocity, draw, legend, living, screen_velocity
+from gof.look.velocity import MIN_ALPHA, ScreenVelocity, draw, legend, living, screen_velocities, screen_velocity
 from tests.conftest import arc
 from tests.evaluate.analytic import make_gaussians
 
@@ -39,6 +39,9 @@ def test_replacing_the_velocity_moves_nothing():
     own, other = screen_velocity(g, camera, 0.6), screen_velocity(g, camera, 0.6, -g.velocity)
     np.testing.assert_array_equal(own.alpha, other.alpha)
     np.testing.assert_allclose(own.flow, -other.flow, atol=1e-3)
+    for alone, together in zip((own, other), screen_velocities(g, camera, 0.6, [g.velocity, -g.velocity]), strict=True):
+        np.testing.assert_array_equal(alone.alpha, together.alpha)
+        np.testing.assert_array_equal(alone.flow, together.flow)
 
 
 @pytest.mark.parametrize("moving", [0, 1], ids=["front", "back"])

@@ -7,7 +7,6 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
-from scipy.spatial import cKDTree
 
 from gof.core.colmap import Poses, name_model, read_colmap
 from gof.core.errors import DataFormatError
@@ -151,6 +150,8 @@ def _distance(matrix: np.ndarray, position: np.ndarray, points: np.ndarray) -> f
     )
     spread = np.median(np.linalg.norm(points - np.median(points, axis=0), axis=1))
     moved = position.astype(np.float64) @ matrix[:3, :3].T + matrix[:3, 3]
+    from scipy.spatial import cKDTree  # here: a quarter of a second
+
     return float(np.median(cKDTree(moved).query(points)[0]) / max(spread, 1e-30))
 
 
