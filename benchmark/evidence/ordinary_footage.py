@@ -36,7 +36,7 @@ GONE = "not(eq(n,20)+eq(n,21)+eq(n,60))"  # three frames are missing
 QUICK = ("--max-size", "214", "--plates", "minimum")
 SLOWING = "(N/30+0.004*N*N/100)/TB"  # from 30 to about 24 frames a second
 TO_HLG = "zscale=tin=iec61966-2-1:min=smpte170m:pin=bt709:t=arib-std-b67:m=bt2020nc:p=bt2020:npl=203"
-FLAME = ("--preset", "toy", "--max-size", "214", "--gaussians", "4000", "--steps", "150")
+FLAME = ("--preset", "toy", "--max-size", "214", "--gaussians", "3000", "--steps", "100")
 SHAKE, DRIFT = 2 / 480, 0.4  # of a hand, to either side, of the width; of the exposure's light, from end to end
 LYING = ["-vf", "transpose=2"]  # as a phone stores an upright video
 
@@ -296,7 +296,7 @@ def run(variant: Variant, config: OrdinaryFootage, originals: list[np.ndarray], 
     made = folder / "set"
     summary = folder / "summary.json"
     given = [str(folder / "videos" / f"{CAMERAS[c]}.mp4") for c in variant.given]
-    size = ("--plates", "steady:48") if config.flame else QUICK
+    size = ("--plates", "steady:32") if config.flame else QUICK
     status, said = gof("ingest", *given, "--out", str(made), *size, *words, *frames, "--json", str(summary))
     if status:
         return f"refused: {last_line(said)}", "", ""
