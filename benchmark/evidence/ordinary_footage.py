@@ -7,8 +7,8 @@ makes the variants. Whether frames were paired rightly is not taken from the clo
 looked up in the original videos, so the last column counts original frames between pictures that were paired. Started
 again with the same options, it goes on after the last row that it finished; another OUT begins anew.
 
-With --flame only what three phones in three hands leave is made, of the clip at half its size, and a small flame of
-each: the column before the last has the flame's PSNR on held-out pictures, against the row's own pictures.
+With --flame only what three phones in three hands leave is made, of every third frame at half the size, and a small
+flame of each: the column before the last has the flame's PSNR on held-out pictures, against the row's own pictures.
 """
 
 from __future__ import annotations
@@ -32,11 +32,12 @@ from gof.host.processes import python_command
 
 CAMERAS = ("cam_0", "cam_1", "cam_2")
 LOOK_UP = (48, 85)  # px: size at which pictures are looked up
-GONE = "not(eq(n,20)+eq(n,21)+eq(n,60))"  # three frames are missing
+GONE = "not(eq(n,20)+eq(n,21)+eq(n,30))"  # three frames are missing
 QUICK = ("--max-size", "214", "--plates", "minimum")
 SLOWING = "(N/30+0.004*N*N/100)/TB"  # from 30 to about 24 frames a second
 TO_HLG = "zscale=tin=iec61966-2-1:min=smpte170m:pin=bt709:t=arib-std-b67:m=bt2020nc:p=bt2020:npl=203"
 FLAME = ("--preset", "toy", "--max-size", "214", "--gaussians", "3000", "--steps", "100")
+THINNED = 3
 SHAKE, DRIFT = 2 / 480, 0.4  # of a hand, to either side, of the width; of the exposure's light, from end to end
 LYING = ["-vf", "transpose=2"]  # as a phone stores an upright video
 
@@ -60,7 +61,7 @@ class OrdinaryFootage:
     only: str = ""
     """Only variants whose name holds this text."""
     flame: bool = False
-    """Only what phones leave, at half the size, each with a flame."""
+    """Only what phones leave, of every third frame at half the size, each with a flame."""
 
 
 @dataclass(frozen=True)
@@ -215,12 +216,13 @@ def with_sound(video: Path, begins_s: float) -> None:
     subprocess.run(command, input=heard.tobytes(), check=True)
 
 
-def at_half_size(clip: Path, folder: Path) -> Path:
-    """Return a folder with the clip's videos, shrunk."""
+def thinned(clip: Path, folder: Path) -> Path:
+    """Return a folder with the clip's videos at half their size, of every `THINNED`-th frame."""
     folder.mkdir(parents=True, exist_ok=True)
+    size = f"select='not(mod(n,{THINNED}))',setpts=N/(30*TB),crop=iw:floor(ih/4)*4,scale=iw/2:ih/2:flags=area"
     for name in CAMERAS:
-        small = ["-vf", "crop=iw:floor(ih/4)*4,scale=iw/2:ih/2:flags=area", "-c:v", "libx264", "-crf", "6"]
-        ffmpeg("-i", str(clip / f"{name}.mp4"), *small, str(folder / f"{name}.mp4"))
+        out = str(folder / f"{name}.mp4")
+        ffmpeg("-i", str(clip / f"{name}.mp4"), "-vf", size, "-r", "30", "-c:v", "libx264", "-crf", "6", out)
     return folder
 
 
@@ -292,11 +294,11 @@ def run(variant: Variant, config: OrdinaryFootage, originals: list[np.ndarray], 
         if status:
             return f"sync: {last_line(said)}", "", ""
         words += ["--times", str(folder / "sync" / "times.json")]
-    frames = () if variant.all_frames else ("--frames", str(config.frames))
+    frames = () if variant.all_frames or config.flame else ("--frames", str(config.frames))
     made = folder / "set"
     summary = folder / "summary.json"
     given = [str(folder / "videos" / f"{CAMERAS[c]}.mp4") for c in variant.given]
-    size = ("--plates", "steady:32") if config.flame else QUICK
+    size = () if config.flame else QUICK
     status, said = gof("ingest", *given, "--out", str(made), *size, *words, *frames, "--json", str(summary))
     if status:
         return f"refused: {last_line(said)}", "", ""
@@ -347,7 +349,7 @@ def main(argv: list[str] | None = None) -> None:
     """Print the table."""
     config = tyro.cli(OrdinaryFootage, prog="python -m gof_benchmark.evidence.ordinary_footage", args=argv)
     if config.flame:
-        config.clip = at_half_size(config.clip, config.out / "half")
+        config.clip, config.fps = thinned(config.clip, config.out / "thinned"), config.fps / THINNED
     originals = [np.stack([small(p) for p in stored_frames(config.clip / f"{name}.mp4")]) for name in CAMERAS]
     print("| footage | what `gof ingest` does | flame | original frames between paired pictures, at most |")
     print("|---|---|---|---|")

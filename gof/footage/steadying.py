@@ -221,9 +221,9 @@ def _fitted(
             return None
         mapped = _mapped(moves, seen.tracks)
         # One frame's own noise is in the points' first places; the mean over the clip has little of it.
-        usual = np.nanmedian(np.where(still[:, None], mapped[known], 0.0), axis=0)
+        usual = _median(np.where(still[:, None], mapped[known], 0.0), 0)
         off = np.linalg.norm(mapped - usual, axis=-1)
-        own = np.nanmedian(np.where(still, off[known], np.inf), axis=0)
+        own = _median(np.where(still, off[known], np.inf), 0)
         now = still & (own <= STILL_PX)
         if now.sum() < FEWEST_POINTS:
             return None
@@ -385,12 +385,10 @@ def _mean(values: np.ndarray, axis: int) -> np.ndarray:
 
 
 def _median(values: np.ndarray, axis: int) -> np.ndarray:
-    """Return the median of what is there; NaN where nothing is."""
-    import warnings
-
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", RuntimeWarning)
-        return np.nanmedian(values, axis=axis)
+    """Return the median of what is there; NaN where nothing is. NumPy's `nanmedian` takes several times as long."""
+    ordered, there = np.sort(values, axis), (~np.isnan(values)).sum(axis, keepdims=True)  # NaN come last
+    low, high = (np.take_along_axis(ordered, k, axis) for k in (np.maximum(there - 1, 0) // 2, there // 2))
+    return ((low + high) / 2).squeeze(axis)
 
 
 def _smoothed(series: np.ndarray) -> np.ndarray:

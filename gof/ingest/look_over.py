@@ -19,9 +19,9 @@ from gof.ingest.agreement import TURN_OF_TAG, other_notes
 from gof.ingest.over_time import LUMA, darkest
 from gof.ingest.plates import MOST_FIRE_LEFT, fire_left, fire_reached
 
-PAIRS = 50  # of neighbouring frames, all over the film, that are looked at
-LONGEST_PX = 640  # size at which they are
-STANDS = 25  # of these frames, in which shake and exposure are measured: both show in any of them
+PAIRS = 32  # of neighbouring frames, all over the film, that are looked at
+LONGEST_PX = 480  # size at which they are
+STANDS = 20  # of these frames, in which shake and exposure are measured: both show in any of them
 CLIPPED = 250  # of 255, in red and green: there colour and brightness are lost
 NO_FLAME = 2e-4  # share of the picture
 EDGE = 0.02  # share of a side of the picture in which the flame is cut off
