@@ -36,7 +36,7 @@ GONE = "not(eq(n,20)+eq(n,21)+eq(n,30))"  # three frames are missing
 QUICK = ("--max-size", "214", "--plates", "minimum")
 SLOWING = "(N/30+0.004*N*N/100)/TB"  # from 30 to about 24 frames a second
 TO_HLG = "zscale=tin=iec61966-2-1:min=smpte170m:pin=bt709:t=arib-std-b67:m=bt2020nc:p=bt2020:npl=203"
-FLAME = ("--preset", "toy", "--max-size", "214", "--gaussians", "3000", "--steps", "100")
+FLAME = ("--preset", "toy", "--max-size", "214", "--gaussians", "3000", "--steps", "100", "--no-flow-prior")
 THINNED = 3
 SHAKE, DRIFT = 2 / 480, 0.4  # of a hand, to either side, of the width; of the exposure's light, from end to end
 LYING = ["-vf", "transpose=2"]  # as a phone stores an upright video

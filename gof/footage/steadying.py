@@ -32,7 +32,7 @@ FEWEST_CELLS = 40
 UNLIKE = 0.2  # by which a cell's log light may scatter over the clip beyond the exposure: flame and LEDs have more
 STEADY_GAIN = 0.03  # log light: smaller changes of exposure are left
 AGREE, AGREE_SHARE = 0.02, 0.25  # log light by which channels, and cells, may differ: at least, and of the change
-TRUSTED = 0.8  # share of the changed frames in which they agree
+TRUSTED = 0.8  # share of the changes' squares in which they agree: small ones drown in noise, and tell little
 FLICKER = 0.5  # share of the changes from frame to frame, beyond which they are a lamp's
 
 Model = Literal["none", "similarity", "homography"]
@@ -337,7 +337,8 @@ def find_gains(seen: Seen, moves: np.ndarray, known: np.ndarray) -> tuple[np.nda
     even_space = 0.5 * np.ptp(np.nanquantile(blocks, [0.1, 0.9], axis=1), axis=0) <= limit
     trusted = channels & even_space
     percent = f"{100 * np.expm1(np.ptp(mean)):.0f} %"
-    if trusted[changed].mean() < TRUSTED:
+    told_by = np.where(changed, mean**2, 0.0)
+    if told_by[trusted].sum() < TRUSTED * told_by.sum():
         return ones, f"the light on what stands still changes by {percent}, unequally, as a fire's own does: it is left"
     smooth = _smoothed(mean)
     if (mean - smooth).std() > FLICKER * mean.std():
