@@ -411,7 +411,7 @@ def read_info(path: Path, progress: Callable[[int, int], None] | None = None) ->
             if number in wanted:
                 seen[number] = picture
             if progress:
-                progress(number + 1, info.frames)
+                progress(number + 1, info.frames or 0)
         info = replace(info, repeated=changes.repeated)
     else:
         stamps, start = [], 0.0
