@@ -86,8 +86,18 @@ class SyncConfig:
 
 
 def main(argv: list[str]) -> int:
-    """Decode all videos; fails, and writes nothing, only when no camera can be decoded."""
-    config = read_options(SyncConfig, "capture sync", argv)
+    """`gof capture sync VIDEO... [--out FOLDER]`; see --help."""
+    take = find_clocks(read_options(SyncConfig, "capture sync", argv))
+    write_figures(replace(take, cameras=tuple(map(without_frames, take.cameras))))
+    return 0
+
+
+def find_clocks(config: SyncConfig) -> FrameTimesFile:
+    """Decode all videos, write times.json and what is asked for beside it, and say what was found.
+
+    Raises:
+        GofError: no camera can be decoded; an option that holds nothing; a times.json is there. Nothing is written.
+    """
     require_positive("--tick-us", config.tick_us)
     require_all_positive("--fps", config.fps)
     known, row_time_us = row_time(config)
@@ -128,8 +138,7 @@ def main(argv: list[str]) -> int:
         print(f"warning: {warning}")
     print(f"wrote {target}")
     write_beside(folder, config.report, written, result, charts)
-    write_figures(replace(result, cameras=tuple(map(without_frames, result.cameras))))
-    return 0
+    return result
 
 
 def sync_without_board(
@@ -138,7 +147,7 @@ def sync_without_board(
     names: list[str],
     folder: Path,
     written: tuple[Layout, Codec] | None,
-) -> int:
+) -> FrameTimesFile:
     """Write times.json by the films' sound, else by the flames' light, and print what was used."""
     try:
         result, said = synchronise_without_board(config.videos, [option.fps for option in decoding])
@@ -160,8 +169,7 @@ def sync_without_board(
         print(f"warning: {warning}")
     print(f"wrote {folder / FILE}")
     write_beside(folder, config.report, written, result, {})
-    write_figures(replace(result, cameras=tuple(map(without_frames, result.cameras))))
-    return 0
+    return result
 
 
 def said_once(take: FrameTimesFile) -> str:

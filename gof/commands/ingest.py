@@ -12,6 +12,8 @@ import tyro
 
 from gof.capture.recognise import BoardUnclear, first_frames, recognise, require_strips
 from gof.capture.template import BoardTemplate
+from gof.capture.times import FILE
+from gof.commands.capture_sync import SyncConfig, find_clocks
 from gof.commands.everywhere import require_writable, write_figures
 from gof.commands.read import Degrees, Metres, Millimetres, Pixels, read_options
 from gof.core.costs import StageLog
@@ -32,6 +34,7 @@ from gof.ingest.published import PublishedFootage, is_published
 from gof.ingest.up import UpChoice
 
 MOST_FOV_DEG = 170.0
+SYNC = "sync"  # word of --times, and the dataset's folder for what it finds
 TAGGED = ("auto", "accelerometer")  # ways up that ask the files' sensors
 
 
@@ -56,10 +59,11 @@ class IngestConfig:
     folder of the authors' public data set (fire_actioncam), which brings its own cameras and times."""
     out: Path | None = None
     """Folder of the dataset to write. Default: beside the first video, named after it: cam_0_dataset."""
-    times: Annotated[tuple[str, ...], tyro.conf.arg(metavar="FILE|FPS|stamps")] = ()
-    """When the frames were taken: times.json of `gof capture sync` for these videos in this order; or the true capture
-    rate, one for all cameras or one each; or "stamps", where the files' time stamps are true seconds (a phone's
-    variable rate, not slow motion)."""
+    times: Annotated[tuple[str, ...], tyro.conf.arg(metavar="FILE|sync|FPS|stamps")] = ()
+    """When the frames were taken: times.json of `gof capture sync` for these videos in this order; "sync" makes it, by
+    the board, the films' sound or the flames' light; or the true capture rate, one for all cameras or one each; or
+    "stamps", where the files' time stamps are true seconds (a phone's variable rate, not slow motion) and the films
+    begin together."""
     cameras: Path | None = None
     """JSON: {"cameras": [{"width", "height", "K", "distortion"?, "world_to_camera"?}, ...]} of the pictures as stored,
     in the videos' order, or one entry for all. With world_to_camera (of the upright picture, metres) for all, poses are
@@ -108,10 +112,10 @@ class IngestConfig:
     frames: int | None = None
     """Use only so many frames."""
 
-    def timing(self) -> Timing:
-        """Return the times by --times, and the frames to use. Raises GofError: it is neither a file, nor rates, nor
-        "stamps"."""
-        times, rates, stamps = read_times(self.times)
+    def timing(self, out: Path) -> Timing:
+        """Return the times by --times, and the frames to use; "sync" is a file beside the dataset `out`. Raises
+        GofError: it is neither a file, nor rates, nor "sync", nor "stamps"."""
+        times, rates, stamps = read_times((str(out / SYNC / FILE),) if self.times == (SYNC,) else self.times)
         return Timing(times, rates, stamps, self.start, self.frames)
 
     def plate_options(self) -> PlateOptions:
@@ -141,7 +145,8 @@ def read_times(words: tuple[str, ...]) -> tuple[Path | None, tuple[float, ...], 
         if len(words) == 1:
             return Path(words[0]), (), False
     raise GofError(
-        f"--times {' '.join(words)}: give one times.json of 'gof capture sync', rates in frames per second, or stamps"
+        f"--times {' '.join(words)}: give one times.json of 'gof capture sync', rates in frames per second, sync, or "
+        "stamps"
     )
 
 
@@ -158,15 +163,18 @@ def ingest(config: IngestConfig) -> Ingested:
     require_number("--frames", config.frames, least=1)
     for start in config.start:
         require_number("--start", start, least=0)
-    timing, plate = config.timing(), config.plate_options()
-    require_all_positive("--times", timing.fps)
     out = config.out or _default_out(config.videos)
+    timing, plate = config.timing(out), config.plate_options()
+    require_all_positive("--times", timing.fps)
     require_new(out)
     if not is_published(config.videos):
         timing.require_one_way()  # now: reading the footage may take minutes
     if plate.folder is not None and not is_published(config.videos):  # now, as the times are
         find_plates(plate.folder, [f"cam_{c}" for c in range(len(config.videos))])
     footage = open_footage(config)
+    if config.times == (SYNC,) and not is_published(config.videos):
+        (out / SYNC / FILE).unlink(missing_ok=True)  # of a run that was cut off, perhaps of other videos
+        find_clocks(SyncConfig(config.videos, out / SYNC, config.board, report=False))
     if config.flame_height_m is not None and (len(footage.videos) > 1 or footage.world_to_camera is not None):
         raise GofError("--flame-height-m: for a single camera whose place is not known; leave it out")
     pose_options = PoseOptions(
@@ -215,8 +223,9 @@ def require_what_no_file_says(config: IngestConfig, argv: list[str]) -> None:
     missing, more = [], []
     if not config.times:
         missing.append(
-            "when the frames were taken: --times with the true capture rate, with times.json of 'gof capture sync', or "
-            "with 'stamps' (the files' own time stamps, as phones write them)"
+            "when the frames were taken: --times with the true capture rate, with times.json of 'gof capture sync', "
+            "with 'sync' (by board, sound or flame), or with 'stamps' (the files' own time stamps, as phones write "
+            "them)"
         )
         more += ["--times", f"{_stated_rate(config.videos[0]):.6g}"]
     if config.cameras is None and config.fov is None:

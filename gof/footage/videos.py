@@ -54,7 +54,7 @@ class VideoInfo:
         pixel_aspect: width of a pixel over its height, as players show it.
         start_s: time of the first frame on the file's own clock; stamps_s count from it.
         two_fields: container or codec allow interlaced frames.
-        repeated: numbers of a video's frames that show the one before again, see `gof.footage.repeats`.
+        repeated: numbers of the frames that show the one before again, see `gof.footage.repeats`.
         made_s: when the file says that it was made, s since 1970; None: it does not.
     """
 
@@ -392,7 +392,7 @@ def _bits(pixel_format: float | None) -> int | None:
 
 
 def read_info(path: Path, progress: Callable[[int, int], None] | None = None) -> VideoInfo:
-    """Return the container's statements, and the stamps of all frames that can really be read (containers lie).
+    """Return the container's statements, and what reading all frames tells: their stamps (containers lie), repeats.
 
     Args:
         progress: called with frames read and stated.
@@ -401,15 +401,20 @@ def read_info(path: Path, progress: Callable[[int, int], None] | None = None) ->
     """
     import cv2
 
-    info = stated_info(path)
+    info, changes = stated_info(path), Changes()
     pairs = np.unique(np.linspace(0, max((info.stated_frames or LOOKED_AT) - 2, 0), LOOKED_AT).astype(int))
-    wanted = sorted({number + more for number in pairs.tolist() for more in (0, 1)})
+    wanted = {number + more for number in pairs.tolist() for more in (0, 1)}
     seen: dict[int, np.ndarray] = {}
     if info.path.is_dir():
-        wanted = [number for number in wanted if number < info.frames]
-        seen = dict(zip(wanted, chosen_frames(info.path, wanted), strict=True))
+        for number, picture in enumerate(stored_frames(info.path)):
+            changes.add(picture)
+            if number in wanted:
+                seen[number] = picture
+            if progress:
+                progress(number + 1, info.frames or 0)
+        info = replace(info, repeated=changes.repeated)
     else:
-        stamps, start, changes = [], 0.0, Changes()
+        stamps, start = [], 0.0
         with _opened(info.path) as video:
             while video.grab():
                 if not stamps and info.stated_fps:

@@ -19,8 +19,9 @@ from gof.ingest.agreement import TURN_OF_TAG, other_notes
 from gof.ingest.over_time import LUMA, darkest
 from gof.ingest.plates import MOST_FIRE_LEFT, fire_left, fire_reached
 
-PAIRS = 50  # of neighbouring frames, all over the film, that are looked at
-LONGEST_PX = 640  # size at which they are
+PAIRS = 32  # of neighbouring frames, all over the film, that are looked at
+LONGEST_PX = 480  # size at which they are
+STANDS = 20  # of these frames, in which shake and exposure are measured: both show in any of them
 CLIPPED = 250  # of 255, in red and green: there colour and brightness are lost
 NO_FLAME = 2e-4  # share of the picture
 EDGE = 0.02  # share of a side of the picture in which the flame is cut off
@@ -150,12 +151,12 @@ def _flame(frames: np.ndarray, masks: np.ndarray, plate: np.ndarray, name: str) 
 
 def _speed(frames: np.ndarray, masks: np.ndarray, plate: np.ndarray, numbers: np.ndarray, name: str) -> Finding:
     """Return how unlike neighbouring frames' flames are: 1 - correlation of their light above the plate."""
-    light = np.maximum(frames.astype(np.float32) @ LUMA - plate.astype(np.float32) @ LUMA, 0)
     unlike = []
     for k in np.flatnonzero(np.diff(numbers) == 1):
         where = masks[k] | masks[k + 1]
         if where.sum() > 20:
-            a, b = light[k][where], light[k + 1][where]
+            dark = plate[where].astype(np.float32) @ LUMA
+            a, b = (np.maximum(frames[n][where].astype(np.float32) @ LUMA - dark, 0) for n in (k, k + 1))
             unlike.append(1 - float(np.corrcoef(a, b)[0, 1]) if a.std() > 0 and b.std() > 0 else 1.0)
     figure = float(np.median(unlike)) if unlike else 1.0
     return graded(
@@ -172,6 +173,8 @@ def _stands(frames: np.ndarray, name: str, numbers: np.ndarray, info: VideoInfo)
     """Return shake and exposure's drift, by what stands still."""
     tripod = "put the camera on a tripod and release it without touching it"
     lock = "lock exposure and white balance by hand"
+    every = max(1, len(frames) // STANDS)
+    frames, numbers = frames[::every], numbers[::every]
     place = len(frames) // 2
     try:
         found = steady(look(frames, frames[place], place), np.arange(len(frames)), name, numbers)

@@ -1,5 +1,6 @@
 """Clocks of films without any board: synthetic sound of known lag, drift and noise, and real files with sound."""
 
+import json
 import shutil
 import subprocess
 import wave
@@ -131,6 +132,23 @@ def test_silent_films_are_synchronised_by_their_flames(tmp_path, capsys):
     found, clocks = starts(tmp_path / "s")
     assert clocks == {"flame"} and "clocks by the flames' light" in said and "ESTIMATED" in said
     np.testing.assert_allclose(found, 1000 * (np.array(begins) - begins[0]), atol=1000 / 60)
+
+
+def test_ingest_finds_the_clocks_itself(tmp_path, capsys):
+    """The first film began 0.2 s before the second: its frame 12 is the first of the dataset."""
+    videos = [film(tmp_path, 0, 1.0), film(tmp_path, 1, 1.2)]
+    poses = [np.eye(4), np.eye(4)]
+    poses[1][0, 3] = -0.5
+    K = [[150, 0, WIDTH / 2], [0, 150, HEIGHT / 2], [0, 0, 1]]
+    known = [{"width": WIDTH, "height": HEIGHT, "K": K, "world_to_camera": pose.tolist()} for pose in poses]
+    (tmp_path / "cameras.json").write_text(json.dumps({"cameras": known}))
+    words = ["--times", "sync", "--cameras", str(tmp_path / "cameras.json"), "--out", str(tmp_path / "set")]
+    assert cli.main(["ingest", *map(str, videos), *words, "--frames", "20"]) == 0
+    assert "clocks by the flames' light" in capsys.readouterr().out
+    assert starts(tmp_path / "set" / "sync")[1] == {"flame"}
+    shown = cv2.imread(str(tmp_path / "set" / "cameras" / "cam_0" / "rgb" / "000000.png"))[..., ::-1].astype(float)
+    apart = [np.abs(shown - flame_at(1.0 + k / FPS)).mean() for k in range(30)]
+    assert abs(int(np.argmin(apart)) - 12) <= 1
 
 
 def test_light_that_agrees_with_nothing_is_refused_by_name(tmp_path, capsys):

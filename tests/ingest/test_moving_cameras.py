@@ -134,6 +134,18 @@ def test_the_fires_light_on_the_room_is_not_exposure():
     assert (steadied(filmed(room=white)).gain == 1).all(), "of one colour, and yet not everywhere"
 
 
+def test_a_large_drift_is_found_beside_the_fires_own_light():
+    """Frames near the usual exposure show the fire's light more than the drift; they are not who is asked."""
+    y, x = np.mgrid[:HEIGHT, :WIDTH]
+    near = 1 / (1 + ((x - 120) ** 2 + (y - 180) ** 2) / 80**2)
+    gains = np.linspace(0.8, 1.2, COUNT)[:, None, None, None]
+    room = 0.18 * (np.arange(COUNT) % 2)[:, None, None, None] * near[..., None] * WARM
+    found = steadied(filmed(gains=gains, room=room))
+    assert "the exposure changes by" in found.notes[0] and "brought to the usual one" in found.notes[0]
+    truth = (gains / np.median(gains)).reshape(-1, 1)
+    assert np.abs(np.log(found.gain / truth)).max() < 0.06, np.round(found.gain / truth, 3)
+
+
 def test_lamps_that_flicker_are_not_exposure():
     found = steadied(filmed(room=0.2 * (-1.0) ** np.arange(COUNT)[:, None, None, None]))
     assert (found.gain == 1).all() and "flickers" in found.notes[0] and "lamps" in found.notes[0]

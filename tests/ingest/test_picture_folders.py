@@ -97,6 +97,19 @@ def test_a_lost_picture_is_a_gap_in_time_and_it_is_said(tmp_path, capsys):
     assert moments(tmp_path) == [(k, k) for k in kept]
 
 
+def test_a_picture_that_repeats_the_one_before_is_left_out(tmp_path, capsys):
+    shown = [k - (k == 7) for k in range(14)]
+    assert cli.main(rig(tmp_path, [f"{k:04d}" for k in range(14)], shown)) == 0
+    assert "c0: 1 frames repeat the one before, first after frame 6" in words(capsys)
+    assert moments(tmp_path) == [(k, k) for k in range(14) if k != 7]
+
+
+def test_a_folder_of_repeats_is_refused(tmp_path, capsys):
+    assert cli.main(rig(tmp_path, [f"{k:04d}" for k in range(16)], [k // 2 for k in range(16)])) != 0
+    assert "c0: 8 of its 16 frames show the one before them again (first frame 1)" in words(capsys)
+    assert not (tmp_path / "ds/dataset.json").exists()
+
+
 def test_every_second_picture_is_an_even_clock(tmp_path, capsys):
     assert cli.main(rig(tmp_path, [str(2 * k) for k in range(8)], range(8))) == 0
     assert "c0: the pictures' numbers go in steps of 2" in words(capsys)
