@@ -211,7 +211,7 @@ def summarise(scores: Scores) -> None:
         console.print(
             f"held-out pictures at {in_words(scores.images.sizes_px)}, flame only: "
             f"PSNR [bold]{scores.psnr_flame:.2f} dB[/] "
-            f"(plate alone {scores.psnr_flame_plate:.2f} dB), "
+            f"(background alone {scores.psnr_flame_plate:.2f} dB), "
             f"SSIM {scores.ssim_flame:.3f} ({scores.ssim_flame_plate:.3f})"
         )
     if scores.around:
