@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True)
 class Fuel:
-    """How a fuel burns and what its flame looks like."""
+    """Burning of a fuel, and the look of its flame."""
 
     burning_rate: float
     """Speed of the reaction: higher is a shorter flame (Mantaflow's burning rate)."""

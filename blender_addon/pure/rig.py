@@ -20,7 +20,7 @@ MOST_PIXELS = 65_536  # along a side; Blender renders no larger
 
 @dataclass(frozen=True)
 class Pose:
-    """Where a camera stands and how it is turned, instead of its place on the arc."""
+    """Place and direction of a camera, instead of its place on the arc."""
 
     position: Vector
     """Centre of the camera, world metres."""

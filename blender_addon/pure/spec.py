@@ -66,7 +66,7 @@ class Render:
 
 @dataclass(frozen=True)
 class Display:
-    """How linear light becomes the PNG: Blender's colour management."""
+    """Conversion of linear light to the PNG: Blender's colour management."""
 
     view_transform: Literal["Standard", "Filmic", "AgX"] = "Filmic"
     """Blender's view transform."""

@@ -24,7 +24,7 @@ CODECS = {"lossless": ("FFV1", ".avi"), "mpeg4": ("mp4v", ".mp4")}
 
 @dataclass(frozen=True)
 class AlignedFrames:
-    """Which stored frames belong together.
+    """The stored frames that belong together.
 
     Attributes:
         time_s: (T,) instants on the board's clock, at the slowest camera's rate.

@@ -258,7 +258,7 @@ def only_run_in(folder: Path) -> Iterator[None]:
 
 
 def _opened_lock(path: Path) -> IO[str]:
-    """Return the lock's file, made if absent; never what a link of its name leads to, as it is written."""
+    """Return the lock's file, made if absent. A link of its name is never followed, because the file is written."""
     try:
         number = os.open(path, os.O_RDWR | os.O_CREAT | os.O_APPEND | getattr(os, "O_NOFOLLOW", 0), 0o666)
     except OSError as e:

@@ -188,7 +188,7 @@ class TransientGaussians:
     def transformed(self, matrix: np.ndarray) -> TransientGaussians:
         """In another world, by a similarity (4, 4); velocities turn and stretch with it, times stay.
 
-        It maps places as they are measured here; the other world has no known datum.
+        It maps places measured from this datum; the datum of the other world is not known.
 
         Raises:
             GofError: not a similarity (sheared, mirrored or singular).

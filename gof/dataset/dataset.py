@@ -75,7 +75,7 @@ class Dataset:
 
     @cached_property
     def datum(self) -> Datum:
-        """Return the datum of places and times; zeros unless float32 would round them as they are."""
+        """Return the datum of places and times; zeros unless float32 would round the values."""
         return self.description.datum
 
     @property

@@ -1,4 +1,4 @@
-"""How sure a mean over a clip's frames is, and whether two methods can be told apart.
+"""Uncertainty of a mean over a clip's frames, and whether two methods differ significantly.
 
 Neighbouring frames show the same eddies, so the frames of a clip are not so many independent measurements. Blocks of
 one eddy time are drawn again and again in their place (the circular block bootstrap of Politis and Romano, 1992). For a
@@ -130,8 +130,8 @@ def over_runs(runs: Sequence[Sequence[float]], eddy_frames: float) -> Estimate:
 def over_scenes(scenes: Sequence[Estimate]) -> Estimate:
     """Return mean over scenes.
 
-    From three scenes on, the scenes are a sample of all fires: their spread tells how sure the mean is, and holds what
-    frames and seeds add. With one or two it is only as sure as frames and seeds make it, and says nothing of others.
+    From three scenes on, the scenes are a sample of all fires: their spread gives the uncertainty of the mean, and
+    includes that of frames and seeds. With one or two it comes from frames and seeds alone, and holds for these scenes.
     """
     means = np.array([scene.mean for scene in scenes])
     if len(scenes) >= 3:

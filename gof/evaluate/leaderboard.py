@@ -138,9 +138,7 @@ COLUMNS = {
     "rmse_depth": Column("RMSE depth (m)", LOWER, ".3f", lambda result: result.scores.rmse_depth),
     "published_psnr_flame": Column("PSNR moving pixels (dB)", HIGHER, ".2f", _published(lambda p: p.psnr_flame)),
     "published_ssim_flame": Column("SSIM moving pixels", HIGHER, ".3f", _published(lambda p: p.ssim_flame)),
-    "published_rmse_depth": Column(
-        "RMSE 1/depth, moving", LOWER, ".3f", _published(lambda p: p.rmse_depth_flame)
-    ),
+    "published_rmse_depth": Column("RMSE 1/depth, moving", LOWER, ".3f", _published(lambda p: p.rmse_depth_flame)),
     "published_lpips": Column("LPIPS whole picture", LOWER, ".3f", _published(lambda p: p.lpips)),
     "published_psnr_no_sync": Column("PSNR without board (dB)", HIGHER, ".2f", _published(lambda p: p.psnr_no_sync)),
     "published_ssim_no_sync": Column("SSIM without board", HIGHER, ".3f", _published(lambda p: p.ssim_no_sync)),
@@ -155,7 +153,7 @@ COLUMNS = {
 class Row:
     """A line of the leaderboard: a result, or a trivial baseline of the only one. The figures are named as in COLUMNS.
 
-    A line with `other_footage` shows what somebody published for other fires, and one with `unfinished` a training that
+    A line with `other_footage` shows what authors published for other fires, and one with `unfinished` a training that
     was stopped before its end; they are not ranked.
     """
 

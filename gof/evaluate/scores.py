@@ -250,7 +250,7 @@ class UsedAlignment:
 
 @dataclass(frozen=True)
 class Origin:
-    """How the result was read. `path` and `options` are None for Gaussians that came from memory.
+    """The way in which the result was read. `path` and `options` are None for Gaussians that came from memory.
 
     `over_plates`: it was drawn over fire-free plates, as a flame without its surroundings.
     """
@@ -289,7 +289,7 @@ class AroundScore:
 
 @dataclass(frozen=True, kw_only=True)
 class LightScore:
-    """Where the light is in space; see `gof.evaluate.light.LightResult`."""
+    """Scores of the light's place in space; see `gof.evaluate.light.LightResult`."""
 
     relative_l2: float
     correlation: float

@@ -48,7 +48,7 @@ class CpuForCuda(TorchFunctionMode):
 
 
 def on_cpu_device(device: Any) -> Any:
-    """Return a device, its name or its number as the CPU; everything else as it is."""
+    """Return a device, its name or its number as the CPU; everything else unchanged."""
     if isinstance(device, bool):
         return device
     if isinstance(device, int):

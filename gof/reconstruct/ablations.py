@@ -39,7 +39,7 @@ def change_times(ablation: Ablation, times_s: np.ndarray, frame_time_s: float) -
 
 
 def change_plates(ablation: Ablation, observation: Observation) -> Observation:
-    """What the flame is drawn over when the optimisation starts."""
+    """Return the observation with the plates from which the optimisation starts."""
     if ablation != "joint-opt":
         return observation
     return replace(observation, plate=observation.image.mean(0))

@@ -37,7 +37,7 @@ LEAST = (
 
 @dataclass(frozen=True)
 class BackgroundOptions:
-    """How the still scene is reconstructed.
+    """Settings of the reconstruction of the still scene.
 
     Attributes:
         steps: of the optimisation, one plate each; the paper's are 10 000.

@@ -1,4 +1,4 @@
-"""What a reconstruction sees before any Gaussian: computed in a run, and again later for whoever wants to show it."""
+"""The input of a reconstruction before any Gaussian: computed in a run, and again later to show it."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ Progress = Callable[..., None]  # progress(done, total)
 
 @dataclass(frozen=True)
 class Seen:
-    """What a run saw: the dataset at the size that was reconstructed, its observation and its flow field."""
+    """The input of a run: the dataset at the size that was reconstructed, its observation and its flow field."""
 
     dataset: Dataset
     observation: Observation
@@ -75,7 +75,7 @@ def uses_flow_prior(settings: ReconstructionSettings) -> bool:
 def see_again(
     dataset: Dataset, folder: Path, flow_weights: Path | None = None, progress: Progress | None = None
 ) -> Seen:
-    """What the reconstruction in a folder saw, by its own settings. Nothing is written.
+    """Compute the input of the reconstruction in a folder again, by its own settings. Nothing is written.
 
     Args:
         dataset: as it was opened, at full size.

@@ -21,7 +21,7 @@ SMOOTH = 1.5  # voxels, std-dev
 
 
 def several_flames(field: FlowField) -> np.ndarray:
-    """Which flame each voxel belongs to.
+    """Return the flame that each voxel belongs to.
 
     Returns:
         (V,) int from 0 on; all 0 where there is one flame, or nothing moves or shines.
@@ -44,7 +44,7 @@ def alone(field: FlowField, own: np.ndarray) -> FlowField:
 
 
 def _seen_along(field: FlowField, direction: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Where each voxel falls (V, 2) in the picture (H, W) of the clip's light, looked at along the direction."""
+    """Return each voxel's place (V, 2) in the picture (H, W) of the clip's light, looked at along the direction."""
     across = np.linalg.svd(direction[None])[2][1:]
     place = field.voxels.center @ across.T / field.voxels.voxel_size
     margin = round(4 * SMOOTH)

@@ -42,7 +42,7 @@ from gof.reconstruct.windows import Windows
 
 @dataclass(frozen=True)
 class Run:
-    """What all stages work with: the dataset at the size that is reconstructed, and where things go."""
+    """Data that all stages share: the dataset at the size that is reconstructed, and where things go."""
 
     dataset: Dataset
     settings: ReconstructionSettings
@@ -53,7 +53,7 @@ class Run:
 
     @property
     def source(self) -> str:
-        """What the files say of where they come from."""
+        """Return the record of origin that the files get."""
         return f"gof reconstruct {self.dataset.description.name}"
 
 
@@ -97,7 +97,7 @@ def see_motion(run: Run) -> Observation:
 
 
 def _say_what_from(run: Run, observation: Observation) -> None:
-    """Which frames, and what that was learned elsewhere, everything that follows comes from."""
+    """Record the frames and the learned models that all later results are made from."""
     plates = [f"plates/{camera.name}.png" for camera in run.dataset.cameras]
     still = plates if run.settings.scene == "plates" else ["background.npz"]
     learned = ["flow_prior"] if uses_flow_prior(run.settings) else []

@@ -24,7 +24,7 @@ ALIGN = 16  # floats; a blur along rows shortens a strip by this at both ends, s
 
 @dataclass(frozen=True)
 class Strip:
-    """Where the pixels of an image lie in a strip."""
+    """Places of an image's pixels in a strip."""
 
     height: int
     width: int
@@ -94,7 +94,7 @@ class Target:
 
 
 class _Strips:
-    """What the Dr.Jit kernels read of a target."""
+    """Data of a target that the Dr.Jit kernels read."""
 
     def __init__(self, image: np.ndarray, mask: np.ndarray | None):
         self.strip = Strip(*image.shape)

@@ -91,7 +91,7 @@ def sensor(camera: Camera, spp: int = 16, filter_sigma: float = DILATION_SIGMA_P
 def scene(
     gaussians: TransientGaussians, camera: Camera, time_s: float, spp: int = 16, filter_sigma: float = DILATION_SIGMA_PX
 ):
-    """A loaded Mitsuba scene of the Gaussians alone, colours taken as they are (no sRGB conversion).
+    """A loaded Mitsuba scene of the Gaussians alone, colours unchanged (no sRGB conversion).
 
     The scene's unit is the geometric mean of the Gaussians' standard deviations; see `ellipsoids`.
     """

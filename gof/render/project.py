@@ -22,7 +22,7 @@ MIN_OPACITY = 1e-20  # below: log2 is replaced by a constant, gradient 0
 
 @dataclass(frozen=True)
 class ProjectionOptions:
-    """How Gaussians become image Gaussians.
+    """Settings of the projection of Gaussians into a picture.
 
     Args:
         near, far: m, near > 0; centres at or outside these depths are not drawn and get gradient 0.
