@@ -100,7 +100,7 @@ class Stage:
 
     @property
     def finished(self) -> bool:
-        """Whether all outputs are there, and none is older than what it was made from."""
+        """Return whether all outputs are there, and none is older than what it was made from."""
         if not all(path.exists() for path in self.outputs):
             return False
         oldest = min(path.stat().st_mtime_ns for path in self.outputs)

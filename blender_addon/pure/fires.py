@@ -128,7 +128,7 @@ class Fire:
 
     @property
     def dims(self) -> bool:
-        """Whether the flame dims what is behind it."""
+        """Return whether the flame dims what is behind it."""
         return self.light != "reaction"
 
     @property
@@ -168,12 +168,12 @@ class GridFire:
 
     @property
     def dims(self) -> bool:
-        """Whether the flame dims what is behind it."""
+        """Return whether the flame dims what is behind it."""
         return False
 
     @cached_property
     def store(self) -> FireStore:
-        """The fire's folder, opened. Raises SpecError if it is not whole."""
+        """Return the fire's folder, opened. Raises SpecError if it is not whole."""
         try:
             return FireStore(Path(self.grids))
         except GofError as error:

@@ -38,7 +38,7 @@ class Fuel:
 
     @property
     def sooty(self) -> bool:
-        """Whether the flame glows by its soot."""
+        """Return whether the flame glows by its soot."""
         return self.onset > 0
 
 

@@ -47,7 +47,7 @@ class Layout:
 
     @property
     def local_spec(self) -> Path:
-        """The spec with the places of its files on this machine, which are private."""
+        """Return the spec with the places of its files on this machine, which are private."""
         return self.hidden / "spec.json"
 
     @property
@@ -65,7 +65,7 @@ class Layout:
 
     @property
     def background(self) -> Path:
-        """The surroundings of the user's scene, where that is the background."""
+        """Return the surroundings of the user's scene, where that is the background."""
         return self.root / scene_spec.BACKGROUND
 
     @property

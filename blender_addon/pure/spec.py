@@ -172,7 +172,7 @@ class SceneSpec:
 
     @cached_property
     def box(self) -> Domain:
-        """The box of the flame's cells, and how many. Raises SpecError: files of a fire of grids are wrong."""
+        """Return the box of the flame's cells, and how many. Raises SpecError: files of a fire of grids are wrong."""
         return self.fire.box(self.domain, self.timeline)
 
     @property

@@ -43,7 +43,7 @@ class AlignedFrames:
 
     @property
     def worst_us(self) -> float:
-        """The most that two frames of one number are apart."""
+        """Return the most that two frames of one number are apart."""
         off = np.stack(list(self.off_us.values()))
         return float((off.max(0) - off.min(0)).max())
 

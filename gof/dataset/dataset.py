@@ -189,7 +189,7 @@ class Dataset:
 
     @property
     def has_velocity(self) -> bool:
-        """Whether the true velocity is known (never of a real capture)."""
+        """Return whether the true velocity is known (never of a real capture)."""
         return self.description.velocity is not None
 
     @cached_property

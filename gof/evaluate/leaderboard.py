@@ -206,7 +206,7 @@ class Row:
 
     @property
     def competes(self) -> bool:
-        """Whether its figures may be the best of a column."""
+        """Return whether its figures may be the best of a column."""
         return not self.trivial_baseline and not self.other_footage and not self.unfinished
 
     def text(self, column: str) -> str:

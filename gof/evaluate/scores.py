@@ -337,7 +337,7 @@ class Scores(PictureFigures):
 
     @property
     def controls(self) -> dict[str, TrivialScore]:
-        """The trivial baselines by their old name, which goes with the next version."""
+        """Return the trivial baselines by their old name, which goes with the next version."""
         warnings.warn("scores.controls is now scores.trivial_baselines", DeprecationWarning, stacklevel=2)
         return self.trivial_baselines
 

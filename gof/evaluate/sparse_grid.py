@@ -36,7 +36,7 @@ class StoredField:
 
     @cached_property
     def _shape(self) -> VelocityField:
-        """A field of the same grid whose values take no memory."""
+        """Return a field of the same grid whose values take no memory."""
         return VelocityField(
             np.broadcast_to(np.float32(0), (*self.sequence.resolution, 3)), self.sequence.index_to_world
         )

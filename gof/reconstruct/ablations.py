@@ -46,7 +46,7 @@ def change_plates(ablation: Ablation, observation: Observation) -> Observation:
 
 
 def change_seeds(ablation: Ablation, seeds: TransientGaussians, rng: np.random.Generator) -> TransientGaussians:
-    """The Gaussians that the optimisation starts from."""
+    """Return the Gaussians that the optimisation starts from."""
     if ablation != "rand-flow":
         return seeds
     direction = rng.normal(size=seeds.velocity.shape)
@@ -56,7 +56,7 @@ def change_seeds(ablation: Ablation, seeds: TransientGaussians, rng: np.random.G
 
 
 def change_gas(ablation: Ablation, kept: TransientGaussians, told: TransientGaussians) -> TransientGaussians:
-    """The result: with the gas' velocity of its seeds (`kept`), or with what the flow field says (`told`)."""
+    """Return the result: with the gas' velocity of its seeds (`kept`), or with what the flow field says (`told`)."""
     return kept if ablation == "rand-flow" else told
 
 

@@ -118,7 +118,7 @@ def make_background(folder: Path, out: Path, options: BackgroundOptions) -> Tran
 def still_gaussians(
     dataset: Dataset, plates: Sequence[np.ndarray], options: BackgroundOptions, log: StageLog
 ) -> TransientGaussians:
-    """The still scene of a dataset: seeds at the depth of its plates, and their optimisation.
+    """Return the still scene of a dataset: seeds at the depth of its plates, and their optimisation.
 
     Args:
         dataset: at the size of the plates.   plates: C x (H, W, 3) display values.

@@ -88,7 +88,7 @@ def fuse_frame(
     fusion: str = "full",
     smooth_voxels: float = 3.0,
 ) -> tuple[np.ndarray, np.ndarray]:
-    """The 3D velocity of every voxel in one frame.
+    """Return the 3D velocity of every voxel in one frame.
 
     Args:
         flow: (C, H, W, 2) px/s, NaN where unknown.   mask: (C, H, W) bool.   emission: (V,) weights for the smoothing.

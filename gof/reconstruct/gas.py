@@ -20,7 +20,7 @@ NOTHING = 1e-6  # share of known voxels and frames around a place below which no
 
 
 def told_of_gas(gaussians: TransientGaussians, field: FlowField) -> TransientGaussians:
-    """The same Gaussians with the gas' velocity, and its standard deviation, in the mean over their lives.
+    """Return the same Gaussians with the gas' velocity, and its standard deviation, in the mean over their lives.
 
     A life is weighted by its temporal opacity: two nodes of Gauss and Hermite, one `t_sigma` before `t_mu` and one
     after, or where the clip begins and ends.
@@ -48,7 +48,7 @@ def told_of_gas(gaussians: TransientGaussians, field: FlowField) -> TransientGau
 
 
 def with_gas_of(field: FlowField, other: FlowField) -> FlowField:
-    """The field with the gas of another of the same frames, which may stand on other voxels.
+    """Return the field with the gas of another of the same frames, which may stand on other voxels.
 
     A voxel around which the other has no velocity moves with its light, and its uncertainty is infinite.
     """

@@ -34,7 +34,7 @@ def needed_bytes(training_pixels: int, frames: int, gaussians: int, voxels: int,
 
 
 def needed_for(dataset: Dataset, gaussians: int, voxels: int, window: float = 1.0) -> float:
-    """The same for a dataset, at the size that is reconstructed."""
+    """Return the same for a dataset, at the size that is reconstructed."""
     frames = len(dataset.train_frames)
     pixels = frames * sum(camera.width * camera.height for camera in dataset.cameras)
     return needed_bytes(pixels, frames, gaussians, voxels, window)

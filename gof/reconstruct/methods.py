@@ -203,7 +203,7 @@ def cameras_extent(cameras: Sequence[Camera]) -> float:
 
 
 def rates_in_voxels(rates: Rates, cameras: Sequence[Camera], voxel_size: float) -> Rates:
-    """The same rates with their lengths in voxels; voxel_size in m, > 0."""
+    """Return the same rates with their lengths in voxels; voxel_size in m, > 0."""
     if rates.lengths == "voxels":
         return rates
     extent = cameras_extent(cameras) / voxel_size

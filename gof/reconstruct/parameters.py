@@ -71,7 +71,7 @@ def per_gaussian(raw: Raw) -> list[str]:
 
 
 def from_raw(raw: Raw, voxel_size: float, start_s: float) -> TransientGaussians:
-    """The Gaussians of raw parameters, all of them dynamic; args as `to_raw`."""
+    """Return the Gaussians of raw parameters, all of them dynamic; args as `to_raw`."""
     return TransientGaussians(
         position=rows(raw["x0"]),
         velocity=rows(raw["velocity"]),
@@ -86,7 +86,7 @@ def from_raw(raw: Raw, voxel_size: float, start_s: float) -> TransientGaussians:
 
 
 def splats(raw: Raw, voxel_size: float, time_s: float, camera: Camera) -> Splats:
-    """Return the splats of a frame whose first line the camera reads at `time_s` after the clip's start; differentiable."""
+    """Return the splats of a frame whose first line is read at `time_s` after the clip's start; differentiable."""
     position, opacity = _state(raw, voxel_size, time_s, camera)
     color = _color(raw)
     return Splats(position, raw["rotation"], _scale(raw, voxel_size), opacity, [color.x, color.y, color.z])

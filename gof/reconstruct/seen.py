@@ -48,7 +48,7 @@ def observation_of(
 def flow_field_of(
     dataset: Dataset, settings: ReconstructionSettings, observation: Observation, progress: Progress | None = None
 ) -> FlowField:
-    """The flame's voxels in every frame and their velocities, corrected by the flow prior where it is used.
+    """Return the flame's voxels in every frame and their velocities, corrected by the flow prior where it is used.
 
     The prior is asked on the voxels that it has learned from, whatever `settings.voxels` are: on finer ones its gas is
     too slow, and on coarser ones it is hardly better than the mean of every height (notebook/accuracy.md).
@@ -68,7 +68,7 @@ def flow_field_of(
 
 
 def uses_flow_prior(settings: ReconstructionSettings) -> bool:
-    """Whether what was learned from other fires has a part in the velocities."""
+    """Return whether what was learned from other fires has a part in the velocities."""
     return settings.flow_prior and METHODS[settings.method].flow_prior
 
 

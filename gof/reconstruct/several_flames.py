@@ -38,7 +38,7 @@ def several_flames(field: FlowField) -> np.ndarray:
 
 
 def alone(field: FlowField, own: np.ndarray) -> FlowField:
-    """The field with no other light than that of some voxels (V,) bool."""
+    """Return the field with no other light than that of some voxels (V,) bool."""
     frames = [replace(frame, emission=np.where(own, frame.emission, 0)) for frame in field.frames]
     return replace(field, frames=tuple(frames))
 

@@ -75,7 +75,7 @@ class Reconstruction:
 
     @classmethod
     def find(cls, folder: Path) -> Reconstruction | None:
-        """The one that was finished in a folder before; None without one."""
+        """Return the one that was finished in a folder before; None without one."""
         path = folder / "result.npz"
         if not (path.exists() and (folder / "result.ply").exists()):
             return None
@@ -130,7 +130,7 @@ def still_steps(settings: ReconstructionSettings) -> int:
 
 
 def make_flow_field(run: Run, observation: Observation) -> FlowField:
-    """The flame's voxels in every frame and their velocities, corrected by the flow prior where it is used."""
+    """Return the flame's voxels in every frame and their velocities, corrected by the flow prior where it is used."""
     with run.log.measure("flow_field") as figures, progress_bar("flow field") as progress:
         field = flow_field_of(run.dataset, run.settings, observation, progress)
         stage_images.save_flow_field(run.out / "stages", field)
@@ -151,7 +151,7 @@ def make_seeds(
     field: FlowField,
     held_out: HeldOut,
 ) -> TransientGaussians:
-    """The Gaussians that the optimisation starts from; kept in OUT/seeds.npz."""
+    """Return the Gaussians that the optimisation starts from; kept in OUT/seeds.npz."""
     settings, method, dt = run.settings, run.method, run.dataset.frame_time_s
     rng = np.random.default_rng(settings.seed)
     with run.log.measure("seeds") as figures:

@@ -151,7 +151,7 @@ def _columns(x) -> list[Float]:
 
 
 def _is_nothing(gradient: Float) -> bool:
-    """Whether nothing was differentiated with respect to a column."""
+    """Return whether nothing was differentiated with respect to a column."""
     return gradient.state == dr.VarState.Literal and float(gradient[0]) == 0
 
 

@@ -195,7 +195,7 @@ def frozen(function):
 
 
 def opaque(value: float) -> Float:
-    """A scalar that the kernels read from memory, so that a new value does not compile a new kernel."""
+    """Return a scalar that the kernels read from memory, so that a new value does not compile a new kernel."""
     return dr.opaque(Float, float(value))
 
 

@@ -170,7 +170,7 @@ def _project_axes(row_x: Array3f, row_y: Array3f, rotation: Array4f, size: list[
 def _project_covariance(
     row_x: Array3f, row_y: Array3f, covariance: list[Float], inv_z2: Float, limit2: Float
 ) -> tuple[Float, ...]:
-    """The same of a covariance in the world, whose trace over depth^2 is held at `limit2`."""
+    """Return the same of a covariance in the world, whose trace over depth^2 is held at `limit2`."""
     trace = dr.maximum(covariance[0] + covariance[3] + covariance[5], 1e-30)
     xx, xy, xz, yy, yz, zz = (v * dr.minimum(inv_z2, limit2 / trace) for v in covariance)
     along_x, along_y = (

@@ -214,7 +214,7 @@ def splats_at(gaussians: TransientGaussians, camera: Camera, time_s: float, *, s
 def render(
     gaussians: TransientGaussians, camera: Camera, time_s: float, background=None, *, shutter: str = "exact", **options
 ) -> dict[str, np.ndarray]:
-    """A picture of a reconstruction at a time, as numpy arrays, without gradients.
+    """Return a picture of a reconstruction at a time, as numpy arrays, without gradients.
 
     Args:
         gaussians: N Gaussians with plain colours or spherical harmonics.

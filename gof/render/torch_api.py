@@ -193,7 +193,7 @@ def rasterize(
 
 
 def _whole(name: str, value) -> int:
-    """A side of a picture, also of a tensor or an array that holds one whole number."""
+    """Return a side of a picture, also of a tensor or an array that holds one whole number."""
     try:
         number = index(value)
     except TypeError as e:
