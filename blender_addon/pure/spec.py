@@ -191,7 +191,7 @@ class SceneSpec:
 
     @cached_property
     def timeline(self) -> Timeline:
-        """When the solver steps and the pictures are."""
+        """Return the times of the solver's steps and of the pictures."""
         return Timeline(self.clip, self.effects, len(self.cameras.names), self.picture_px[1], self.seed)
 
     def resolved(self, folder: Path) -> SceneSpec:

@@ -1,6 +1,6 @@
 """A cloud at one instant as Blender's own Gaussian splats, which 5.3 brings: a point cloud with certain attributes.
 
-How a point cloud becomes splats is asked of the running Blender (`compat.splat_type`).
+The running Blender says how a point cloud becomes splats (`compat.splat_type`).
 """
 
 from __future__ import annotations

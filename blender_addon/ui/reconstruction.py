@@ -66,7 +66,7 @@ def _enum(socket: str, choices: tuple[str, ...], items: list, **annotations):
 
 
 def _say(text: str) -> None:
-    """Tell the user from where there is no operator to report; whoever runs a script reads the console."""
+    """Print a message where no operator can report it; users of scripts read the console."""
     if bpy.app.background:
         print(text)
     else:

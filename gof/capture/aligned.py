@@ -43,7 +43,7 @@ class AlignedFrames:
 
     @property
     def worst_us(self) -> float:
-        """Return the most that two frames of one number are apart."""
+        """Return the largest time between two frames of one number."""
         off = np.stack(list(self.off_us.values()))
         return float((off.max(0) - off.min(0)).max())
 

@@ -230,5 +230,5 @@ def require_strips(board: Board | None, for_what: str) -> BoardTemplate:
 
 
 def first_frames(videos: list[Path]) -> dict[str, Iterable[np.ndarray]]:
-    """Return each video's first frames, read when they are asked for, by the camera's name."""
+    """Return each video's first frames, read when needed, by the camera's name."""
     return dict(zip(distinct_names(videos), (islice(stored_frames(video), LOOK_AT) for video in videos), strict=True))

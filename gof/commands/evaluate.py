@@ -307,7 +307,7 @@ def _counted(scores: Scores, key: str) -> str:
 
 
 def published_table(scores: Scores) -> Table:
-    """Return the authors' figures beside what they publish; empty when not asked for."""
+    """Return the authors' figures beside what they publish; empty without --published."""
     table = Table(title=f"Held-out pictures{_at_size(scores)}, by the authors' definitions", title_justify="left")
     for column in ("score", "result", "published, other footage"):
         table.add_column(column, justify="left" if column == "score" else "right")

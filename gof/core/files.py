@@ -124,7 +124,7 @@ _named: set[Path] = set()  # links, as the user has written them
 def follow_links_of(argv: Iterable[str]) -> None:
     """Remember the links that a command line names: an output of that name goes to where the link leads.
 
-    Other links lie in folders that somebody else may have made, and are never written through.
+    Other links may have been made by other people, and are never written through.
     """
     words = [part for word in argv for part in (word, word.partition("=")[2]) if part]
     _named.update(path.absolute() for path in map(Path, words) if os.path.islink(path))

@@ -1,4 +1,4 @@
-"""TransientGaussians: the data model of a reconstruction, and what every model of moving Gaussians can be asked.
+"""TransientGaussians: the data model of a reconstruction, and the methods of every model of moving Gaussians.
 
 Each Gaussian is a short-lived volumetric carrier of emission (paper, "Dynamic Scene"):
 x(t) = x0 + (t - t_mu) v and opacity(t) = opacity * exp(-0.5 ((t - t_mu) / t_sigma)^2).

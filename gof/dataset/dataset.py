@@ -25,7 +25,7 @@ SEEN = ("rgb", "static", "mask", "board_mask")  # kinds of files that are made s
 
 @dataclass(frozen=True)
 class Dataset:
-    """A capture or a benchmark scene. Frames and cameras are numbered from 0; images are read when asked for.
+    """A capture or a benchmark scene. Frames and cameras are numbered from 0; images are read when needed.
 
     A world or a clock far from zero (UTM coordinates, Unix time) is measured from `datum`: cameras, times and the true
     velocity alike. `description` says what the file says.

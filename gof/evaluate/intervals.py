@@ -148,7 +148,7 @@ def over_scenes(scenes: Sequence[Estimate]) -> Estimate:
 
 def ranks(means: Sequence[float], p_values: np.ndarray, better: int) -> list[tuple[int, int]]:
     """Return the best and the worst place that a method may have: behind all that are better for certain, before all
-    that are worse for certain. Who cannot be told apart shares places.
+    that are worse for certain. Methods that do not differ significantly share places.
 
     Args:
         means: of each method.
@@ -164,7 +164,7 @@ def ranks(means: Sequence[float], p_values: np.ndarray, better: int) -> list[tup
 
 
 def apart(p_values: np.ndarray) -> np.ndarray:
-    """Return (M, M) bool: which pairs can be told apart, with at most 1 - CONFIDENCE of a wrong one among all (Holm,
+    """Return (M, M) bool: which pairs differ significantly, with at most 1 - CONFIDENCE of a wrong one among all (Holm,
     1979)."""
     first, second = np.triu_indices(len(p_values), 1)
     order = np.argsort(p_values[first, second], kind="stable")

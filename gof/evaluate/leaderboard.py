@@ -77,7 +77,7 @@ def _gradients(value: Callable) -> Callable[[EvaluatedResult], float | None]:
 
 
 def _published(value: Callable[[PublishedFigures], float | None]) -> Callable[[EvaluatedResult], float | None]:
-    """Return one of the authors' figures; None where they were not asked for."""
+    """Return one of the authors' figures; None where they were not requested."""
     return lambda result: None if result.scores.published is None else value(result.scores.published)
 
 

@@ -1,6 +1,6 @@
-"""`scores.json`: everything `gof evaluate` finds out about a result. Written by it, read by whoever shows or compares.
+"""`scores.json`: everything `gof evaluate` finds out about a result. It writes the file; pages and comparisons read it.
 
-None stands for "undefined" or "not asked for"; docs/scores.md and docs/formats.md say what each figure means.
+None stands for "undefined" or "not requested"; docs/scores.md and docs/formats.md say what each figure means.
 """
 
 from __future__ import annotations

@@ -175,7 +175,7 @@ def parts(field, low: np.ndarray, high: np.ndarray, rows: np.ndarray) -> Iterato
 
 
 def pool_of(field: VelocityField | StoredField, needed: np.ndarray) -> Pool:
-    """Return the pool for chunks of `touched_chunks`; a stored field keeps its last one: its frame is asked for
+    """Return the pool for chunks of `touched_chunks`; a stored field keeps its last one: its frame is needed
     twice."""
     if not isinstance(field, StoredField):
         return _fill(field, needed)

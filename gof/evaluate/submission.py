@@ -225,8 +225,8 @@ def check(
 
 
 def score_again(run: Run, dataset: Dataset) -> Scores:
-    """Return a run's scores, computed from its files: read and drawn as its scores.json says, scored as everybody's
-    is."""
+    """Return a run's scores, computed from its files: read and drawn as its scores.json says, scored like every
+    other."""
     scored = {"order": ORDER, "opacity": OPACITY}
     return evaluate(run.result, dataset, foreign=run.options, flame_only=run.scores.import_.over_plates, **scored)
 

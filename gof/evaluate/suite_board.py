@@ -1,4 +1,4 @@
-"""Methods side by side over the scenes of a suite: means, how sure they are, and who cannot be told from whom.
+"""Methods side by side over the scenes of a suite: means, their uncertainty, and which methods differ significantly.
 
 A figure of a method is the mean over a scene's frames, over its runs there, and over scenes. Two methods are compared
 on the same frames of the same scenes, difference by difference (`gof.evaluate.intervals`).

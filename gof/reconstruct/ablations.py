@@ -56,7 +56,7 @@ def change_seeds(ablation: Ablation, seeds: TransientGaussians, rng: np.random.G
 
 
 def change_gas(ablation: Ablation, kept: TransientGaussians, told: TransientGaussians) -> TransientGaussians:
-    """Return the result: with the gas' velocity of its seeds (`kept`), or with what the flow field says (`told`)."""
+    """Return the result: with the gas' velocity of its seeds (`kept`), or with that of the flow field (`told`)."""
     return kept if ablation == "rand-flow" else told
 
 

@@ -122,7 +122,7 @@ def still_gaussians(
 
     Args:
         dataset: at the size of the plates.   plates: C x (H, W, 3) display values.
-        options: `longest_side` is not looked at.   log: gets the stages "depth" and "background".
+        options: `longest_side` is ignored.   log: gets the stages "depth" and "background".
     Raises:
         GofError: see `plate_depths`.
     """

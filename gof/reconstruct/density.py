@@ -94,7 +94,7 @@ class DensityControl:
 def changed(
     old: TransientGaussians, seen: _Seen, most: int, extent: float, prune_wide: bool, seed: tuple[int, int]
 ) -> tuple[np.ndarray, TransientGaussians]:
-    """Rows of the Gaussians that stay, and those that come.
+    """Return the rows of the Gaussians that stay, and the new Gaussians.
 
     Args:
         most: there will be no more; who is pulled hardest comes first.   extent: m, of the cameras.

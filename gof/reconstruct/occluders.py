@@ -1,4 +1,4 @@
-"""Still things between a camera and the flame, told by the other cameras: a gap in this one's flame that they fill.
+"""Still things between a camera and the flame, found by the other cameras: a gap in this one's flame that they fill.
 
 A camera that never sees flame in a place says that no flame is there, and its word ends the hull (`voxels.carve`).
 Behind a post it says so wrongly. The flame that all other cameras agree on, rounded (`tomography`), shines through

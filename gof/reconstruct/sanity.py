@@ -328,7 +328,7 @@ def _light(views: list[_View], middle: np.ndarray) -> Iterator[Fault]:
 
 
 def _agreement(view: _View, others: list[_View], middle: np.ndarray) -> tuple[float, float]:
-    """The best correlations with another camera, of light over the planes and of its change; 1 where none can be told.
+    """The best correlations with another camera, of light over the planes and of its change; 1 where there is none.
 
     The best, because in a pair with a wrong camera both are wrong.
     """

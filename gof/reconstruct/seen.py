@@ -50,7 +50,7 @@ def flow_field_of(
 ) -> FlowField:
     """Return the flame's voxels in every frame and their velocities, corrected by the flow prior where it is used.
 
-    The prior is asked on the voxels that it has learned from, whatever `settings.voxels` are: on finer ones its gas is
+    The prior works on the voxels that it was trained on, whatever `settings.voxels` are: on finer ones its gas is
     too slow, and on coarser ones it is hardly better than the mean of every height (notebook/accuracy.md).
     """
     method, learned = METHODS[settings.method], uses_flow_prior(settings)

@@ -1,4 +1,4 @@
-"""Flames that burn side by side, told apart: each has an axis, a radius and a pace of its own.
+"""Separate flames that burn side by side: each has an axis, a radius and a pace of its own.
 
 Seen along the direction in which it moves, a flame is one bright spot, and two are two with a dark gap between them.
 What lies between two flames is not the core of anything.

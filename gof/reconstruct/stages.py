@@ -75,7 +75,7 @@ class Reconstruction:
 
     @classmethod
     def find(cls, folder: Path) -> Reconstruction | None:
-        """Return the one that was finished in a folder before; None without one."""
+        """Return the finished reconstruction in a folder; None without one."""
         path = folder / "result.npz"
         if not (path.exists() and (folder / "result.ply").exists()):
             return None

@@ -128,7 +128,7 @@ def plan_bands(f: Footprints, budget: int = PAIR_BUDGET) -> list[tuple[int, int]
 
 
 def as_bands(pairs: np.ndarray, budget: int) -> list[tuple[int, int]]:
-    """Rows with so many pairs each, as bands [first row, end) of at most `budget` pairs or of one row."""
+    """Return rows with so many pairs each, as bands [first row, end) of at most `budget` pairs or of one row."""
     bands, first, total = [], 0, 0
     for row, n in enumerate(pairs.tolist()):
         if row > first and total + n > budget:

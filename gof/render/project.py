@@ -88,7 +88,7 @@ def rotation_columns(q: Array4f) -> tuple[Array3f, Array3f, Array3f]:
 
 
 def camera_axes(camera: Camera, pose: list[Float] | None = None) -> tuple[list[Array3f], list[Float]]:
-    """Rows of the world-to-camera rotation, and its translation; `pose` (row-major 3x4) replaces the camera's."""
+    """Return rows of the world-to-camera rotation, and its translation; `pose` (row-major 3x4) replaces its own."""
     w = [opaque(v) for v in camera.world_to_camera[:3].reshape(-1)] if pose is None else pose
     return [Array3f(*w[4 * i : 4 * i + 3]) for i in range(3)], [w[3], w[7], w[11]]
 

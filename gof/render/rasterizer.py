@@ -56,7 +56,7 @@ class Frame:
 
     @property
     def mean2d_absgrad(self) -> Array2f | None:
-        """(N,) sum over pixels of |dL/d(mean2d)| of each, after `dr.backward`; None before, or if not asked for."""
+        """(N,) sum over pixels of |dL/d(mean2d)| of each, after `dr.backward`; None before, or without `absgrad`."""
         return None if self.trace.mean_absgrad is None else Array2f(*self.trace.mean_absgrad)
 
 

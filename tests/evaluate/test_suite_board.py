@@ -375,11 +375,13 @@ def test_the_page_says_whose_velocity_was_scored():
     assert (
         page.split("<b>says gas</b>")[1]
         .split("</li>")[0]
-        .count("scored velocity: that of the gas, as the result says it")
+        .count("scored velocity: that of the gas, as the result states it")
         == 1
     )
     assert (
-        page.split("<b>moves</b>")[1].split("</li>")[0].count("scored velocity: that of the light, of its Gaussians")
+        page.split("<b>moves</b>")[1]
+        .split("</li>")[0]
+        .count("scored velocity: that of the light, as its Gaussians move")
         == 1
     )
 

@@ -58,7 +58,7 @@ def build(spec: SceneSpec, collection: bpy.types.Collection) -> None:
 def save(collection: bpy.types.Collection, path: Path) -> None:
     """Write the surroundings to a .blend of their own, which `build` reads as it read the user's.
 
-    It lies in the dataset, so that whoever has that can build the scene again.
+    It is in the dataset, so that the scene can be built again from that alone.
     """
     surroundings = bpy.data.scenes.new("Surroundings")
     surroundings.collection.children.link(collection)

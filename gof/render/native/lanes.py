@@ -40,7 +40,7 @@ class _LaneModel(models.PrimitiveModel):
 
 
 def _use_wide_registers(builder) -> None:
-    """Many CPUs have 512-bit registers that LLVM leaves unused unless it is asked."""
+    """Many CPUs have 512-bit registers that LLVM uses only on request."""
     for attribute in ('"prefer-vector-width"="512"', '"min-legal-vector-width"="512"'):
         set.add(builder.function.attributes, attribute)  # llvmlite's own `add` knows a few attributes only
 
