@@ -183,7 +183,7 @@ def test_a_changed_file_is_found_later(archive, tmp_path):
 def test_links_and_silence_are_refused(dataset, tmp_path):
     with pytest.raises(GofError, match="licence"):
         pack(dataset, tmp_path, " ", ("A",))
-    with pytest.raises(GofError, match="lies in the dataset"):
+    with pytest.raises(GofError, match="is inside the dataset"):
         pack(dataset, dataset.path / "out", "CC0-1.0", ("A",))
     shutil.copytree(dataset.path, tmp_path / "linked")
     (tmp_path / "linked/more.png").symlink_to("/etc/passwd")

@@ -103,7 +103,7 @@ WRONG = {
     "no properties": (head("element vertex 999999999999"), ASCII, "announces"),
     "a row short": (head(*VERTEX), "0 1.5 7\n\n\n\n\n\n", "ends in line 13 with 1 of 2 vertices"),
     "a value short": (head(*VERTEX), "0 1.5 7\n2 -3.25   \n", "line 9: no value for 'red'"),
-    "a value more": (head(*VERTEX), "0 1.5 7 8\n2 -3.25 255\n", "line 8: 4 values where the header asks for 3"),
+    "a value more": (head(*VERTEX), "0 1.5 7 8\n2 -3.25 255\n", "line 8: 4 values, but the header announces 3"),
     "a word": (head(*VERTEX), "0 1.5 7\n2 three 255\n", "line 9: .*three"),
     "too large a number": (head(*VERTEX), "0 1.5 7\n2 -3.25 256\n", r"line 9: 256 is not in 0\.\.255"),
     "a negative list": (head("element vertex 1", "property list int int a"), "-1 \n", "line 6: a list of -1 numbers"),

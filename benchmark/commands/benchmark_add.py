@@ -1,4 +1,4 @@
-"""`gof benchmark add`: a result into a submission, with all that a check asks for."""
+"""`gof benchmark add`: add a result to a submission, with all files that the check needs."""
 
 from __future__ import annotations
 
@@ -50,11 +50,11 @@ class AddConfig:
     run: str | None = None
     """Name of the run, where there are several (seed_0, seed_1, ...)."""
     trained_on: Literal["train", "all"] | None = None
-    """Which frames the method learned from, where the result's folder does not say."""
+    """Frames that the method was trained on. Needed where the result's folder does not list them."""
     pictures: Path | None = None
-    """Folder CAMERA/000004.png of the held-out frames, by the method's own renderer; without it ours draws them."""
+    """Folder CAMERA/000004.png of the held-out frames, by the method's own renderer; default: gof draws them."""
     curve: Path | None = None
-    """How the training went, as `gof baseline --curve` writes it; the board shows whether it had converged."""
+    """Training curve of `gof baseline --curve`; the board shows from it whether the training had converged."""
 
 
 def main(argv: list[str]) -> int:
@@ -98,17 +98,15 @@ def require_new(result: Path, folder: Path, scene: Path) -> None:
     if not result.exists():
         raise DataFormatError(f"{result}: no such file or folder")
     if folder.resolve() in (result.resolve(), result.parent.resolve()):
-        raise DataFormatError(f"{result}: lies in the submission already; give the result where it was made")
+        raise DataFormatError(f"{result}: is inside the submission already; give the folder where it was made")
     if result.is_dir() and not (result / "result.npz").is_file() and folder.resolve().is_relative_to(result.resolve()):
-        raise DataFormatError(f"{result}: the submission lies in it; give the folder of this one result")
+        raise DataFormatError(f"{result}: contains the submission; give the folder of this result alone")
     if folder != scene and (scene / SCORES).exists():
         raise GofError(f"{scene}: is a run itself, beside which no other is found; move it to {scene / 'seed_0'}")
     if (folder / SCORES).exists():
         raise GofError(f"{folder}: holds a run already; remove it, or give --run another name")
     if os.path.lexists(folder) and not (folder.is_dir() and not folder.is_symlink() and not any(folder.iterdir())):
-        raise GofError(
-            f"{folder}: holds other things already, and they are left as they are; give another SUBMISSION, or a --run"
-        )
+        raise GofError(f"{folder}: already holds other files, which are kept; give another SUBMISSION, or a --run")
 
 
 def require_pictures(pictures: Path, dataset: Dataset) -> None:

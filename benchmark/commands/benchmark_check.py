@@ -19,7 +19,7 @@ STYLES = {"ok": "green", "hint": "yellow", "refused": "bold red"}
 
 @dataclass
 class CheckConfig:
-    """Look at every claim of a submission that can be looked at; one cross refuses it (exit status 1).
+    """Check every claim of a submission that can be checked. A single failed check refuses it (exit status 1).
 
     Examples:
       gof benchmark check mine bench/preview

@@ -100,7 +100,7 @@ class Stage:
 
     @property
     def finished(self) -> bool:
-        """Whether all outputs are there, and none is older than what it was made from."""
+        """Return whether all outputs are there, and none is older than what it was made from."""
         if not all(path.exists() for path in self.outputs):
             return False
         oldest = min(path.stat().st_mtime_ns for path in self.outputs)
@@ -211,7 +211,7 @@ def summarise(scores: Scores) -> None:
         console.print(
             f"held-out pictures at {in_words(scores.images.sizes_px)}, flame only: "
             f"PSNR [bold]{scores.psnr_flame:.2f} dB[/] "
-            f"(plate alone {scores.psnr_flame_plate:.2f} dB), "
+            f"(background alone {scores.psnr_flame_plate:.2f} dB), "
             f"SSIM {scores.ssim_flame:.3f} ({scores.ssim_flame_plate:.3f})"
         )
     if scores.around:

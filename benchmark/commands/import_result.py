@@ -42,7 +42,7 @@ class ImportConfig:
     camera: str | None = None
     """Camera to render from; default: the middle one."""
     mode: Literal["points", "ellipsoids"] = "points"
-    """How the cloud is drawn: round points (quick), or each Gaussian's own ellipsoid (about three times the render
+    """Shapes of the cloud: round points (quick), or each Gaussian's own ellipsoid (about three times the render
     time)."""
 
 

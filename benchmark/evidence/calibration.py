@@ -67,13 +67,13 @@ def main(argv: list[str] | None = None) -> None:
         ends = [f"{said:.2f}, {true:.2f}" for said, true in parts[[0, -1]]]
         shares = [f"{within(gas, dataset, deviations):.2f}" for deviations in (1, 2)]
         print(f"| {path.name} | {shares[0]} | {shares[1]} | {ends[0]} | {ends[1]} |", flush=True)
-        series[path.name] = [(float(said), float(true), "") for said, true in parts]
+        series[path.name.replace("_", " ")] = [(float(said), float(true), "") for said, true in parts]
     if config.chart:
         ends = np.concatenate([np.asarray([point[:2] for point in points]) for points in series.values()])
-        diagonal = {"right about itself": [(float(v), float(v), "") for v in (ends.min(), ends.max())]}
+        diagonal = {"uncertainty as large as the error": [(float(v), float(v), "") for v in (ends.min(), ends.max())]}
         line_chart(
-            "How sure the flow prior is, and how wrong",
-            "standard deviation it says, over the mean speed",
+            "Uncertainty that the flow prior states, and its error",
+            "stated standard deviation, over the mean speed",
             "RMS error, over the mean speed",
             diagonal | series,
         ).write(config.chart)

@@ -201,10 +201,10 @@ def _covariance(scale: np.ndarray, rotation: np.ndarray) -> np.ndarray:
 
 
 LINES = (
-    ("order", 0.5, "exact field, orders 1 3 5 7 (k sigma 0.5)"),
-    ("order", 1.5, "exact field, orders 1 3 5 7 (k sigma 1.5)"),
-    ("grid", 0.5, "grids of 16 to 128 cells, order 3"),
-    ("monte carlo", 0.5, "Monte Carlo, 1e2 to 1e6 samples"),
+    ("order", 0.5, "exact field, 1 to 7 nodes, small Gaussians"),
+    ("order", 1.5, "exact field, 1 to 7 nodes, large Gaussians"),
+    ("grid", 0.5, "grids of 16 to 128 cells, 3 nodes"),
+    ("monte carlo", 0.5, "Monte Carlo, 100 to 1 000 000 samples"),
 )
 
 

@@ -148,7 +148,7 @@ def draw(generated: list[Looks], filmed: list[Looks], folder: Path) -> None:
     )
     for name, title, x_label, y_label, curve in charts:
         lines = {
-            one.name: [(float(x), float(y), "") for x, y in zip(*curve(one), strict=True) if y > 0]
+            one.name.replace("_", " "): [(float(x), float(y), "") for x, y in zip(*curve(one), strict=True) if y > 0]
             for one in [mean, *generated]
         }
         lines = {name: points for name, points in lines.items() if points}

@@ -64,7 +64,7 @@ def _trivial_lines(scores: Scores) -> list[str]:
     if eve is not None and "constant" in known:
         known["constant"] |= {"eve_l2": eve.baselines["constant"].l2, "eve_cos": eve.baselines["constant"].cos_sim}
     rows = {f"trivial: {name}": known[name] for name in SHOWN if name in known}
-    rows["trivial: fire-free plate"] = {key: getattr(scores, f"{key}_plate") for key in PLATE}
+    rows["trivial: fire-free background"] = {key: getattr(scores, f"{key}_plate") for key in PLATE}
     return [f"| {name} | {' | '.join(_cell(key, of.get(key)) for key in FIGURES)} | |" for name, of in rows.items()]
 
 

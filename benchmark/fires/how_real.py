@@ -265,7 +265,7 @@ def draw(flames: list[ViewedFlame], looks: list[Seen], folder: Path) -> None:
         lines = {"McCaffrey's law": _law_line()}
         for flame, look in zip(flames, looks, strict=True):
             if flame.source == source and not flame.truth.windy:
-                lines[flame.name] = _scaled(flame.truth.axis, laws(flame.truth, look.height).heat_kw)
+                lines[flame.name.replace("_", " ")] = _scaled(flame.truth.axis, laws(flame.truth, look.height).heat_kw)
         line_chart(
             f"{source}: mean speed on the axis",
             "height above the burner / Q^(2/5), m/kW^(2/5)",

@@ -42,7 +42,7 @@ def make(
     Args:
         layout: its folder, which this spec has claimed (`gof_benchmark.scenes.claim`), and which no other run works in.
         scheduler: address of a dask scheduler; None for `workers` Blender processes on this machine.
-        tls: folder with the certificate that the scheduler asks for (`workers_for`).
+        tls: folder with the certificate that the scheduler requires (`workers_for`).
     Raises:
         GofError: memory or disk do not suffice, the scheduler does not answer, or a stage failed; what was finished is
             kept.

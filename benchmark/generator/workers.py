@@ -1,4 +1,4 @@
-"""Where the tasks of a dataset run: threads of this process, or the workers of a running dask scheduler.
+"""The places where the tasks of a dataset run: threads of this process, or the workers of a running dask scheduler.
 
 Both have the interface of `concurrent.futures.Executor`. A task waits for a Blender process, so threads are enough.
 """
@@ -96,7 +96,7 @@ def workers_for(
     """Workers of a running scheduler, or so many in this process.
 
     Args:
-        tls: folder with the cert.pem and key.pem that the scheduler asks for (docs/cluster.md).
+        tls: folder with the cert.pem and key.pem that the scheduler requires (docs/cluster.md).
     Raises:
         GofError: the scheduler does not answer, or see `require_certificate`.
         MissingDependencyError: there is a scheduler, and distributed is not installed.

@@ -16,7 +16,14 @@ from gof_benchmark.studies.variants import Row, Setting, VariantStudy, run_one, 
 FACTORS = (0.25, 0.5, 1, 2)  # of the preset's steps, Gaussians and picture size
 VOXELS = (0.5, 1, 1.5)  # of the preset's
 VARIED = {"steps": "iterations", "gaussians": "gaussians", "max-size": "longest_side", "voxels": "voxels"}
-"""The varied settings, and their name in the settings and the tables."""
+"""The varied settings, and their name in the settings and the rows."""
+WORDS = {
+    "steps": "number of steps",
+    "gaussians": "number of Gaussians",
+    "max-size": "longer side of the pictures, px",
+    "voxels": "voxels along the longest side",
+}
+"""The varied settings in legends and headings."""
 CHOICES: dict[str, dict[str, Setting]] = {
     "no flow prior": {"flow_prior": False},
     "scene of Gaussians": {"scene": "gaussians"},
@@ -26,8 +33,16 @@ CHOICES: dict[str, dict[str, Setting]] = {
 }
 Group = Literal["presets", "steps", "gaussians", "max-size", "voxels", "choices"]
 CHARTS = {"l2": "DVE L2", "cos_sim": "DVE CosSim", "psnr_flame": "held-out flame PSNR, dB"}
-SCORES = ("l2", "cos_sim", "psnr_flame", "ssim_flame", "psnr_flame_novel")
-COLUMNS = [*VARIED.values(), "seconds", *(column for score in SCORES for column in (score, f"{score}_sd"))]
+SCORES = {
+    "l2": "DVE L2",
+    "cos_sim": "DVE CosSim",
+    "psnr_flame": "PSNR flame (dB)",
+    "ssim_flame": "SSIM flame",
+    "psnr_flame_novel": "PSNR flame, novel view (dB)",
+}
+COLUMNS = {VARIED[setting]: words for setting, words in WORDS.items()} | {"seconds": "seconds"}
+COLUMNS |= {key: words for score, name in SCORES.items() for key, words in ((score, name), (f"{score}_sd", "±"))}
+"""The columns of the tables: what a row holds, and the heading."""
 Series = dict[str, dict[str, dict[str, Setting]]]
 
 
@@ -58,7 +73,8 @@ def main(argv: list[str]) -> int:
     _draw_charts(study, groups)
     parts = [f"![{label}]({key}.svg)" for key, label in CHARTS.items()]
     for group, rows in groups.items():
-        parts += [f"## {group}", table(["run", *COLUMNS], [row["name"] for row in rows], rows, COLUMNS)]
+        names = [row["name"] for row in rows]
+        parts += [f"## {WORDS.get(group, group)}", table(["run", *COLUMNS.values()], names, rows, list(COLUMNS))]
     write_page(study.folder / "reconstruct.md", parts)
     study.finish("reconstruct", [{"group": group} | row for group, rows in groups.items() for row in rows])
     return 0
@@ -120,7 +136,7 @@ def _draw_charts(study: VariantStudy, groups: dict[str, list[Row]]) -> None:
                 place = row["seconds"], row[key]
                 words = "" if group == "choices" or place in labelled else row["name"].split("-")[-1]
                 labelled.add(place)
-                line = row["name"] if group == "choices" else group
+                line = row["name"] if group == "choices" else WORDS.get(group, group)
                 lines.setdefault(line, []).append(Point(*place, words, row.get(f"{key}_sd", 0.0)))
         title = f"{label} against time"
         line_chart(title, "seconds of the reconstruction", label, lines, log="x").write(study.folder / f"{key}.svg")

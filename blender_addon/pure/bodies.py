@@ -16,7 +16,7 @@ from .effects.obstacles import Obstacle, Settings
 from .fires import Domain, Fire
 from .spec import SceneSpec
 
-TOLD = 3  # bodies that are told of one by one
+TOLD = 3  # bodies that are named one by one
 BORDER = 0.5  # cells inside the domain's sides, which a floor or a wall may touch
 
 

@@ -52,7 +52,7 @@ class Brightness:
 
     @classmethod
     def read(cls, path: Path) -> Brightness | None:
-        """As `write` left it; None where no picture has been looked at."""
+        """Return the brightness that `write` stored; None where no picture was measured."""
         try:
             return from_dict(cls, read_json(path), "") if path.is_file() else None
         except SpecError as error:

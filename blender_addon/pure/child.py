@@ -59,7 +59,7 @@ class Said:
         return self.done - (self._done_before or 0)
 
     def read(self) -> None:
-        """Take note of what has been said since the last call."""
+        """Read the lines printed since the last call."""
         while not self._lines.empty():
             try:
                 message = json.loads(self._lines.get().decode(errors="replace"))
@@ -74,7 +74,7 @@ class Said:
             self.peak_mb = message.get("cost", {}).get("peak_mb") or self.peak_mb
 
     def read_rest(self) -> None:
-        """Take note of all it has said; only once it has ended."""
+        """Read all remaining lines; only after the process has ended."""
         self._listener.join()
         self.read()
 

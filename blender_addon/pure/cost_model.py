@@ -149,7 +149,7 @@ def require_room(spec: SceneSpec, root: Path) -> Prediction:
         advice = _advice(spec, lambda other: predict(other, machine).memory_mb, 0.8 * memory)
         raise SpecError(
             f"{spec.name}: needs about {prediction.memory_mb / 1000:.3g} GB of memory, this machine has "
-            f"{memory / 1000:.3g} GB, of which {100 * ROOM:.0f} % are counted on; {advice}"
+            f"{memory / 1000:.3g} GB, of which {100 * ROOM:.0f} % may be used; {advice}"
         )
     if prediction.disk_mb > disk:
         advice = _advice(spec, lambda other: predict(other, machine).disk_mb, 0.9 * disk)

@@ -73,7 +73,7 @@ class Fire:
     """The emitter of fuel and what it burns: a fire that we simulate."""
 
     fuel: str = "propane_high"
-    """What burns: how fast, in which colour, with how much soot."""
+    """Fuel: burning rate, colour of the light and amount of soot."""
     shape: Literal["disc", "sphere", "logs"] = "disc"
     """disc: a flat round burner of 1/3 radius height; sphere: a ball; logs: crossed logs."""
     position: Vector = (0.0, 0.0, 0.12)
@@ -91,7 +91,7 @@ class Fire:
     intensity: float = 1.0
     """Factor on the flame's light."""
     logs: int = 3
-    """How many logs, of the shape logs."""
+    """Number of logs, for the shape logs."""
 
     def __post_init__(self):
         rule = f"in [{LEAST_LOGS}, {MOST_LOGS}]"
@@ -128,7 +128,7 @@ class Fire:
 
     @property
     def dims(self) -> bool:
-        """Whether the flame dims what is behind it."""
+        """Return whether the flame dims what is behind it."""
         return self.light != "reaction"
 
     @property
@@ -159,7 +159,7 @@ class GridFire:
     start_s: float = 0.0
     """Time of dataset frame 0 on the grids' clock, seconds."""
     position: Vector = (0.0, 0.0, 0.0)
-    """Where the origin of the grids' axes stands, world metres."""
+    """Place of the origin of the grids' axes, world metres."""
     radiance: float = 1.0
     """Linear scene radiance per unit of emission, as a solver gives light only up to a factor."""
 
@@ -168,12 +168,12 @@ class GridFire:
 
     @property
     def dims(self) -> bool:
-        """Whether the flame dims what is behind it."""
+        """Return whether the flame dims what is behind it."""
         return False
 
     @cached_property
     def store(self) -> FireStore:
-        """The fire's folder, opened. Raises SpecError if it is not whole."""
+        """Return the fire's folder, opened. Raises SpecError if it is not whole."""
         try:
             return FireStore(Path(self.grids))
         except GofError as error:
@@ -204,7 +204,7 @@ class GridFire:
 
     @property
     def burner(self) -> Burner | None:
-        """Return the burner that surroundings draw: a round one that reaches around all that the solver tells of.
+        """Return the burner that surroundings draw: a round one around all burners that the solver lists.
 
         None where the grids are not at hand, as in a dataset that was copied. Raises SpecError: see `store`.
         """

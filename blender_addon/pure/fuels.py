@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True)
 class Fuel:
-    """How a fuel burns and what its flame looks like."""
+    """Burning of a fuel, and the look of its flame."""
 
     burning_rate: float
     """Speed of the reaction: higher is a shorter flame (Mantaflow's burning rate)."""
@@ -38,7 +38,7 @@ class Fuel:
 
     @property
     def sooty(self) -> bool:
-        """Whether the flame glows by its soot."""
+        """Return whether the flame glows by its soot."""
         return self.onset > 0
 
 

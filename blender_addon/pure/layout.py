@@ -1,4 +1,4 @@
-"""Where a dataset keeps its files; the one place that knows."""
+"""Paths of a dataset's files; no other module knows them."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ class Layout:
 
     @property
     def local_spec(self) -> Path:
-        """The spec with the places of its files on this machine, which are private."""
+        """Return the spec with the places of its files on this machine, which are private."""
         return self.hidden / "spec.json"
 
     @property
@@ -65,7 +65,7 @@ class Layout:
 
     @property
     def background(self) -> Path:
-        """The surroundings of the user's scene, where that is the background."""
+        """Return the surroundings of the user's scene, where that is the background."""
         return self.root / scene_spec.BACKGROUND
 
     @property
@@ -83,7 +83,7 @@ class Layout:
 
     @property
     def brightness(self) -> Path:
-        """How the flame in the first picture is exposed."""
+        """Return the file with the exposure of the flame in the first picture."""
         return self.hidden / "brightness.json"
 
     @property
@@ -187,7 +187,7 @@ class Layout:
         )
 
     def uncompressed(self, camera: str, frame: int) -> Path:
-        """Return the display picture before a codec, where the spec asks for one."""
+        """Return the display picture before a codec, where the spec has one."""
         return self.hidden / "uncompressed" / camera / f"{frame:06d}.png"
 
     def video(self, camera: str) -> Path:

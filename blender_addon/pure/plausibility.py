@@ -1,4 +1,4 @@
-"""Whether the parts of a scene make sense together, asked before anything is simulated.
+"""Checks that the parts of a scene fit together, made before anything is simulated.
 
 A spec whose fields are all in range may still describe a picture of nothing: a camera in the fire, a wall through it.
 A spec that makes no dataset at all is refused; an odd one is warned of. Every message has the

@@ -1,4 +1,4 @@
-"""Which frames of a scene show a clip, and at which rate a short one can be watched."""
+"""Frames of a scene that show a clip, and a rate at which a short clip can be watched."""
 
 from __future__ import annotations
 

@@ -20,7 +20,7 @@ MOST_PIXELS = 65_536  # along a side; Blender renders no larger
 
 @dataclass(frozen=True)
 class Pose:
-    """Where a camera stands and how it is turned, instead of its place on the arc."""
+    """Place and direction of a camera, instead of its place on the arc."""
 
     position: Vector
     """Centre of the camera, world metres."""
@@ -84,7 +84,7 @@ class Rig:
 
     @property
     def names(self) -> list[str]:
-        """All cameras: for training, for evaluation, around."""
+        """Return the names of all cameras: for training, for evaluation, around."""
         return [*self.whole_clip, *(AROUND if self.around_frames else ())]
 
     @property
@@ -145,7 +145,7 @@ def positions(rig: Rig) -> np.ndarray:
 
 
 def seen(rig: Rig, points: np.ndarray) -> np.ndarray:
-    """Return (C, N) whether a camera's picture has a point (N, 3) in it; what stands between is not asked."""
+    """Return (C, N) whether a camera's picture has a point (N, 3) in it; things in between are ignored."""
     along = HALF_SENSOR / rig.focal_mm
     across = along * rig.sensor_px[1] / rig.sensor_px[0]
     half = np.array([across, along] if rig.portrait else [along, across])

@@ -58,7 +58,7 @@ class Evaluation:
 
     @classmethod
     def by_gof(cls, python: Path, result: Path, dataset: Path, time_unit_s: float = 0.0) -> Evaluation:
-        """Args: time_unit_s: seconds per unit of a foreign result's time; 0 = the file says it."""
+        """Args: time_unit_s: seconds per unit of a foreign result's time; 0 = the file states it."""
         folder = Path(tempfile.mkdtemp(prefix="gof-score-"))
         if len(python.parts) > 1:
             python = python.absolute()  # not resolved: a virtual environment's is a link

@@ -1,4 +1,4 @@
-"""How the solver's constants follow the size of a fire, so that its gas is as fast as that of real ones.
+"""Scaling of the solver's constants with the size of a fire, so that its gas is as fast as in real fires.
 
 Mantaflow counts lengths in domains: with the same constants, hot gas is lifted with an acceleration that is the inverse
 of the domain's longest side, 24 / L m/s2 for beta 1.5 and heat 3 (`gof_benchmark.evidence.fire_sizes`): a fire of a

@@ -10,7 +10,7 @@ coolest at the tips and edges, where it has radiated longest. Before there is so
 
 Real soot glows in thin sheets, the edges of the fuel, which the wind of the flame folds: with `thin` it is where the
 reaction passes SHEET_AT, in a band that is often narrower than a cell. Without, all that burns glows, which looks
-like cotton. The reaction between the cells is the one that Cycles sees, a cubic B-spline, so that the same truth has
+like cotton. Between cells the reaction is interpolated as in Cycles, by a cubic B-spline, so that the same truth has
 finer pictures.
 
 Sources of the figures:

@@ -66,7 +66,7 @@ class Render:
 
 @dataclass(frozen=True)
 class Display:
-    """How linear light becomes the PNG: Blender's colour management."""
+    """Conversion of linear light to the PNG: Blender's colour management."""
 
     view_transform: Literal["Standard", "Filmic", "AgX"] = "Filmic"
     """Blender's view transform."""
@@ -172,7 +172,7 @@ class SceneSpec:
 
     @cached_property
     def box(self) -> Domain:
-        """The box of the flame's cells, and how many. Raises SpecError: files of a fire of grids are wrong."""
+        """Return the box of the flame's cells, and how many. Raises SpecError: files of a fire of grids are wrong."""
         return self.fire.box(self.domain, self.timeline)
 
     @property
@@ -191,7 +191,7 @@ class SceneSpec:
 
     @cached_property
     def timeline(self) -> Timeline:
-        """When the solver steps and the pictures are."""
+        """Return the times of the solver's steps and of the pictures."""
         return Timeline(self.clip, self.effects, len(self.cameras.names), self.picture_px[1], self.seed)
 
     def resolved(self, folder: Path) -> SceneSpec:

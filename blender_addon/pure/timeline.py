@@ -85,7 +85,7 @@ class Timeline:
         return Picture(camera, frame, self.clip.fps, self.lines, self.seed)
 
     def timing(self, camera: int, frame: int) -> Timing:
-        """When the lines of a picture integrate: the sum of what its effects contribute."""
+        """Return when the lines of a picture integrate: the sum of what its effects contribute."""
         picture = self.picture(camera, frame)
         return sum((effects.timing(settings, picture) for settings in self.effects), Timing())
 

@@ -20,7 +20,7 @@ class Timing:
     delay: float = 0.0
     """When line 0 starts to integrate."""
     open: float = 0.0
-    """How long a line integrates; 0 for an instant."""
+    """Exposure time of a line; 0 for an instant."""
     line: float = 0.0
     """From the start of one line to that of the next."""
 

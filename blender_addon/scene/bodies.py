@@ -21,7 +21,7 @@ def notes(spec: SceneSpec, graph: bpy.types.Depsgraph, things: set[bpy.types.Obj
     """Return notes for the maker of a scene on its objects in the domain (`pure.bodies`).
 
     Args:
-        graph: evaluated, of the scene that has the objects; also tells what they are instanced by.
+        graph: evaluated, of the scene that has the objects; also has the objects that instance them.
         things: objects that become surroundings.
         to_ours: the scene's world to the spec's.
     """

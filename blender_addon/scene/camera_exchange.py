@@ -120,7 +120,7 @@ def as_rig(planned: Rig, entries: tuple[CameraEntry, ...], to_place: Matrix) -> 
         if np.abs(np.array(lens) - wanted).max() > SAME * max(first.width, first.height):
             raise SpecError(
                 f"{entry.name}: a rig's cameras have one size and one lens, square pixels and a centred axis; "
-                "untick As the Rig to add them as they are"
+                "untick As the Rig to add them unchanged"
             )
     ordered = sorted(entries, key=lambda entry: entry.role == "eval")
     evaluation = sum(entry.role == "eval" for entry in ordered)

@@ -24,7 +24,7 @@ def is_new(scene: bpy.types.Scene) -> bool:
 
 
 def line(scene: bpy.types.Scene, thing: bpy.types.Object) -> str:
-    """When a cloud is seen: its length and its frames in this scene; "" for a still."""
+    """Return when a cloud is visible: its length and its frames in this scene; "" for a still."""
     if CLIP not in thing:
         return ""
     frames = span(scene, thing)

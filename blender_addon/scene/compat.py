@@ -1,4 +1,4 @@
-"""Where Blender's versions differ, decided by what the running one has. Nothing else asks for a version."""
+"""Differences between Blender's versions, decided by what the running one has. No other module checks versions."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Where a scene's flame comes from: the one place that knows more than one answer.
+"""The source of a scene's flame; no other module knows more than one kind.
 
 Rendering, cameras, effects of the pictures, truth, views and scores know a flame only as one object of the scene that
 shines (`fire_objects.find_flame`), and as the methods below.

@@ -64,7 +64,7 @@ def node_group() -> bpy.types.NodeTree:
     """Return the file's node group of this layout; made when there is none."""
     names = {name for name, *_ in INPUTS}
     for tree in bpy.data.node_groups:
-        whole = names <= set(compat.input_sockets(tree))  # somebody may have taken inputs away
+        whole = names <= set(compat.input_sockets(tree))  # inputs may have been removed by hand
         if tree.get("gof_layout") == LAYOUT and tree.library is None and whole:
             return tree
     tree = new_group(NAME, tuple(names))

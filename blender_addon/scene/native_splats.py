@@ -1,7 +1,7 @@
 """A cloud as Blender's own Gaussian splats, which 5.3 brings, in motion: a point cloud with certain attributes.
 
 A small node group moves and fades it by the formulas of `gaussian_nodes`. All of it is in the .blend, which plays
-without this add-on. How a point cloud becomes splats is asked of the running Blender (`compat.splat_type`).
+without this add-on. The running Blender says how a point cloud becomes splats (`compat.splat_type`).
 """
 
 from __future__ import annotations

@@ -19,7 +19,7 @@ DATUM = "gof_datum"  # custom property: x, y, z (m) and t (s) that places and ti
 
 
 class CloudError(RuntimeError):
-    """A cloud that somebody has edited lacks what is asked of it; the message says what to do."""
+    """A cloud that was edited lacks something that is needed; the message says what to do."""
 
 
 class CloudInputs:

@@ -208,7 +208,7 @@ def seen(light: np.ndarray, spec: SceneSpec, camera: int, frame: int, factor: fl
 
 
 def metered(spec: SceneSpec, layout: Layout) -> float:
-    """Factor on the light of all pictures that an effect asks for by the flame in the first one; 1 without such."""
+    """Return the factor on the light of all pictures that an effect takes from the first one's flame; 1 without one."""
     if not any(map(meters, spec.effects)):
         return 1.0
     if not layout.gain.is_file():

@@ -21,7 +21,7 @@ def apply(display: Display, scene: bpy.types.Scene) -> None:
 
 
 def require_display(display: Display) -> None:
-    """Raise SpecError if this Blender cannot show it so; the open scene stays as it is."""
+    """Raise SpecError if this Blender cannot show it so; the open scene is not changed."""
     trial = bpy.data.scenes.new("Trial")
     try:
         apply(display, trial)

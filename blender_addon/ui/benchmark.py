@@ -41,7 +41,7 @@ class GOF_PG_benchmark(bpy.types.PropertyGroup):
         name="Background",
         description="What is around the fire",
         items=[
-            ("scene", "This Scene", "Everything of this scene that is visible in renders, as it is at this frame"),
+            ("scene", "This Scene", "Everything in this scene that is visible in renders, as at the current frame"),
             *(
                 (name, name.capitalize(), "Built by the add-on; the fire and the cameras are those of the Fire panel")
                 for name in BACKGROUNDS
@@ -396,7 +396,7 @@ def _draw_job(layout, context, job: Job) -> None:
 
 
 def _copy_scene(scene: bpy.types.Scene, path: Path) -> None:
-    """Write the scene as it is now, unsaved changes too, to a file of its own."""
+    """Write the current scene, with unsaved changes, to a separate file."""
     bpy.data.libraries.write(str(path), {scene}, path_remap="ABSOLUTE", fake_user=True)
 
 

@@ -62,7 +62,7 @@ class GOF_OT_import_cameras(bpy.types.Operator, ImportHelper):
     rig: bpy.props.BoolProperty(
         name="As the Rig",
         default=True,
-        description="Replace the fire's cameras, where there is a fire; otherwise the cameras are added as they are",
+        description="Replace the fire's cameras, where there is a fire; otherwise add the cameras unchanged",
     )
 
     def execute(self, context):

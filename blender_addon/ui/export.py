@@ -32,7 +32,7 @@ class Recording:
 
     @classmethod
     def of(cls, scene: bpy.types.Scene, thing: bpy.types.Object) -> "Recording":
-        """Read that of the .blend: no file is asked. Raises DataFormatError: it holds too little."""
+        """Read the settings in the .blend, without any other file. Raises DataFormatError: it holds too little."""
         rate, settings, cloud = scene.render.fps / scene.render.fps_base, point_cloud.inputs(thing), None
         if thing.type == "MESH":
             cloud = point_cloud.cloud_of(thing)

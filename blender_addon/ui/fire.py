@@ -146,7 +146,7 @@ class GOF_PG_fire(bpy.types.PropertyGroup):
         description="How fast the gas is",
         items=[
             ("physical", "Physical", "Lift and burning follow the fire's size, as in real fires"),
-            ("solver", "Solver", "The solver's constants as they are: much too fast below a metre"),
+            ("solver", "Solver", "The solver's own constants: much too fast for fires below a metre"),
         ],
     )
     clearance: FloatProperty(

@@ -82,7 +82,7 @@ class JobOperator:
             return {"CANCELLED"}
         if unfinished:
             context.workspace.status_text_set(
-                f"{self.bl_label}: {job}. Esc {'asks whether to stop' if self.ask else 'stops it'}"
+                f"{self.bl_label}: {job}. Esc {'offers to stop it' if self.ask else 'stops it'}"
             )
             _redraw(context)
             return {"PASS_THROUGH"}

@@ -21,7 +21,7 @@ class GOF_AddonPreferences(bpy.types.AddonPreferences):
     python: bpy.props.StringProperty(
         name="Python for Scores",
         subtype="FILE_PATH",
-        description="Python that gof is installed in, such as .venv/bin/python; a scene's own Python goes first",
+        description="Python that gof is installed in, such as .venv/bin/python; the Python set in a scene is preferred",
     )
 
     def draw(self, context):

@@ -11,7 +11,7 @@ from ..pure.io import cloud as clouds
 from ..scene import clip_in_scene, compat, filmed, gaussian_nodes, place, point_cloud, result_file, see_through
 from .panel import SidebarPanel, number, write_lines
 
-MANY = 2_000_000  # Gaussians; from here on an import asks back
+MANY = 2_000_000  # Gaussians; above this an import needs confirmation
 SECONDS_EACH, BYTES_EACH, FRAME_SECONDS_EACH = 4e-6, 250, 0.1e-6  # measured: benchmark/evidence/addon_speed.py
 
 MODES = [
@@ -26,7 +26,7 @@ COLORS = [
     ("age", "Age", "Seconds since its brightest moment"),
     ("lifetime", "Lifetime", "Standard deviation of its fading, s"),
     ("error", "Velocity Error", "m/s against the true velocity; score first (panel Score, Show Errors)"),
-    ("uncertainty", "Velocity Uncertainty", "m/s, standard deviation of a component, where the file says it"),
+    ("uncertainty", "Velocity Uncertainty", "m/s, standard deviation of a component, where the file states it"),
 ]
 VECTORS = [
     ("velocity", "Velocity", "Of the gas, as reconstructed"),
@@ -66,7 +66,7 @@ def _enum(socket: str, choices: tuple[str, ...], items: list, **annotations):
 
 
 def _say(text: str) -> None:
-    """Tell the user from where there is no operator to report; whoever runs a script reads the console."""
+    """Print a message where no operator can report it; users of scripts read the console."""
     if bpy.app.background:
         print(text)
     else:
@@ -110,7 +110,7 @@ class GOF_OT_import_result(bpy.types.Operator, ImportHelper):
         items=[
             ("new", "Fit If New", "Fit them to the clip if they are still those of Blender's new file"),
             ("fit", "Fit to Clip", "Fit them to the clip"),
-            ("keep", "Keep", "Leave them as they are"),
+            ("keep", "Keep", "Do not change them"),
         ],
     )
     step: bpy.props.IntProperty(name="Every n-th", default=1, min=1, description="Import every n-th Gaussian only")

@@ -65,7 +65,7 @@ def of_settings(scene: bpy.types.Scene) -> SceneSpec:
 
 
 def of_scene(scene: bpy.types.Scene) -> SceneSpec:
-    """Return the Fire panel's spec with the places of the objects as they are now.
+    """Return the Fire panel's spec with the current places of the objects.
 
     Raises SpecError if a setting is out of range, or an object stands as no spec can say.
     """

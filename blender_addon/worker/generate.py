@@ -83,7 +83,7 @@ def render(spec: SceneSpec, layout: Layout, progress: Reporter) -> None:
 
 
 def serve(spec: SceneSpec, layout: Layout, progress: Reporter) -> None:
-    """Render what standard input asks for, until it ends."""
+    """Render the requests on standard input, until it ends."""
     _open_blend(layout, during_bake=True)
     from ..scene import render as cycles
 
@@ -98,7 +98,7 @@ def serve(spec: SceneSpec, layout: Layout, progress: Reporter) -> None:
 
 
 def video(spec: SceneSpec, layout: Layout, progress: Reporter) -> None:
-    """Pass the display pictures through a codec, if an effect asks for one."""
+    """Pass the display pictures through a codec, if an effect needs one."""
     settings = next(filter(encodes, spec.effects), None)
     if settings is None:
         return

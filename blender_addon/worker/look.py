@@ -46,7 +46,7 @@ def look(spec: scene_spec.SceneSpec) -> list[str]:
 
 
 def run(argv: list[str]) -> None:
-    """Run one look as the only work of this process, which ends with the one that started it."""
+    """Run one look as the only work of this process, which ends when its parent does."""
     run_alone(main, argv)
 
 

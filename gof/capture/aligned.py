@@ -25,7 +25,7 @@ CODECS = {"lossless": ("FFV1", ".avi"), "mpeg4": ("mp4v", ".mp4")}
 
 @dataclass(frozen=True)
 class AlignedFrames:
-    """Which stored frames belong together.
+    """The stored frames that belong together.
 
     Attributes:
         time_s: (T,) instants on the board's clock, at the slowest camera's rate.
@@ -44,7 +44,7 @@ class AlignedFrames:
 
     @property
     def worst_us(self) -> float:
-        """The most that two frames of one number are apart."""
+        """Return the largest time between two frames of one number."""
         off = np.stack(list(self.off_us.values()))
         return float((off.max(0) - off.min(0)).max())
 

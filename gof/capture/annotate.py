@@ -114,7 +114,7 @@ def find_mask(pictures: Iterable[np.ndarray], template: BoardTemplate, points: B
 def mask_from_footage(
     footage: Path, lens: Lens | None, turn: Turn, template: BoardTemplate, points: BoardPoints | None = None
 ) -> np.ndarray:
-    """Return the mask as `find_mask` finds it in stored pictures, undistorted and turned as they are.
+    """Return the mask as `find_mask` finds it in stored pictures, undistorted and turned like the pictures.
 
     Raises:
         BoardNotFound, DataFormatError: not found; the footage is not readable, or of another size than its lens.

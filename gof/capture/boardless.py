@@ -42,7 +42,7 @@ def synchronise_without_board(videos: list[Path], rates: Sequence[float | None])
     Args:
         rates: each film's true rate; None: its time stamps are true time.
     Raises:
-        GofError: neither sound nor light tells how the clocks lie; says why of both.
+        GofError: neither sound nor light gives the offsets of the clocks; the message has both reasons.
     """
     require_different(videos)
     if len(videos) < 2:
@@ -68,7 +68,7 @@ def synchronise_without_board(videos: list[Path], rates: Sequence[float | None])
     except NoFlameClock as e:
         said.append(f"flame: {e}")
     if fits is None:
-        raise GofError(f"nothing tells how the films' clocks lie: {'; '.join(said)}")
+        raise GofError(f"the films' clocks cannot be compared: {'; '.join(said)}")
     cameras = [
         SyncedVideo(name, str(video), _described(info, times, fit, clock), None, fingerprint(video))
         for name, video, info, times, fit in zip(names, videos, infos, own, fits, strict=True)
@@ -175,10 +175,10 @@ def _compared(names: list[str], own: list[np.ndarray], sound: list[ClockFit], li
     for name, times, one, other in list(zip(names, own, sound, light, strict=True))[1:]:
         middle = float(times.mean())
         apart = one.offset_s + one.drift * middle - other.offset_s
-        doubt = np.hypot(one.sigma_s, other.sigma_s)
-        words = "which agrees" if abs(apart) <= 2 * doubt else "which CONTRADICTS it: look at one moment in both films"
+        spread_s = np.hypot(one.sigma_s, other.sigma_s)
+        words = "which agrees" if abs(apart) <= 2 * spread_s else "which CONTRADICTS it: compare a moment in both"
         said.append(
-            f"{name}: the flame's light is {1000 * apart:+.1f} ms from its sound (+-{1000 * doubt:.1f}), {words}"
+            f"{name}: the flame's light is {1000 * apart:+.1f} ms from its sound (+-{1000 * spread_s:.1f}), {words}"
         )
     return said
 

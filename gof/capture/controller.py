@@ -202,7 +202,7 @@ def find_boards() -> list[tuple[str, Identity]]:
 
 
 def only_board() -> str:
-    """Port of the one board that is plugged in; where there is one port only, it is not asked twice.
+    """Return the port of the only board that is plugged in.
 
     Raises:
         BoardError: none, or several (names them).

@@ -2,7 +2,7 @@
 
 Time unit: microseconds of board time. The exposure of a frame may straddle a change of the counter; then one Gray bit,
 and only one, may read either way. The disambiguation LED shows floor(t / period + lead) & 1: it is steady around every
-change of the Gray code, and so tells which change it is.
+change of the Gray code, and so identifies the change.
 """
 
 from __future__ import annotations

@@ -26,7 +26,7 @@ class MarkerNotFound(BoardNotFound):
 
 @dataclass(frozen=True)
 class BoardInImage:
-    """Where the board is in an image. Pixel coordinates, centres at integer + 0.5.
+    """The place of the board in an image. Pixel coordinates, centres at integer + 0.5.
 
     Args:
         corners: (4, 2) marker corners.
@@ -167,7 +167,7 @@ def find_marker(summary: Summary, template: BoardTemplate) -> np.ndarray:
 
 def marker_in(picture: np.ndarray, number: int, inverted: bool, scale: float = 1) -> np.ndarray | None:
     """Return (4, 2) corners of the marker with this number in a grey (H, W) picture, looked for at `scale` times its
-    size; in continuous pixel coordinates of the picture as it is. None where it is not seen."""
+    size; in continuous pixel coordinates of the unchanged picture. None where it is not seen."""
     import cv2
 
     parameters = cv2.aruco.DetectorParameters()
@@ -220,7 +220,7 @@ def bright_spots(image: np.ndarray, points: np.ndarray, radius: float) -> tuple[
 
 @dataclass(frozen=True)
 class _Comb:
-    """Where the template and the marker's plane put the strips: teeth across a common middle line.
+    """Places of the strips by the template and the marker's plane: teeth across a common middle line.
 
     Attributes:
         s: (J,) place along the strips, 0 = first and 1 = last lit point.
@@ -305,7 +305,7 @@ def _fit_comb(flicker: np.ndarray, comb: _Comb) -> tuple[float, np.ndarray]:
     for _ in range(4):
         use = bright & (np.abs(curve - shift) < 0.25)
         if use.sum() < 8:
-            raise BoardNotFound("the five strips cannot be told apart; are they sharp and free in front of the camera?")
+            raise BoardNotFound("the five strips cannot be separated; they must be sharp, with nothing in front")
         curve = np.polyval(np.polyfit(comb.s[use], shift[use], 2), comb.s)
     return float(stretches[best]), curve
 

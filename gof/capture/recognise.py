@@ -1,4 +1,4 @@
-"""Which board is it? Told from the footage: a board's lights must lie where its template has them.
+"""Recognise the board from the footage: a board's lights must lie where its template has them.
 
 Boards may share a marker: what blinks beside it, in marker sides, tells them apart. Whoever names a board is believed
 only as far as the footage agrees: the counter of a wrong board gives times that are wrong by half a minute.
@@ -41,12 +41,12 @@ Board = BoardTemplate | RingBoard
 
 
 class BoardUnclear(GofError):
-    """A board's marker is there, but nothing tells which board it is."""
+    """A board's marker was found, but the footage does not show which board it belongs to."""
 
 
 @dataclass(frozen=True)
 class _Likeness:
-    """How one camera's footage looks like a board.
+    """The evidence of one camera's footage for a board.
 
     Attributes:
         lights: how many were seen near their places.
@@ -78,7 +78,7 @@ def recognise(choice: str, footage: Mapping[str, Iterable[np.ndarray]], rings: b
         None where the choice is "auto" and no camera shows a board.
     Raises:
         GofError: the footage shows another board than the chosen one, or several boards.
-        BoardUnclear: the choice is "auto", and nothing tells which board it is.
+        BoardUnclear: the choice is "auto", and the footage does not show which board it is.
         DataFormatError: the chosen file is no board.
     """
     chosen = None if choice == AUTO else load_board(choice)
@@ -102,7 +102,7 @@ def recognise(choice: str, footage: Mapping[str, Iterable[np.ndarray]], rings: b
         return chosen
     if found is None and any(likeness.values()):
         raise BoardUnclear(
-            f"a board's marker is there, but which board it is cannot be told: {_evidence(likeness)}. Is it running, "
+            f"a board's marker was found, but not which board it belongs to: {_evidence(likeness)}. Is it running, "
             f"sharp, and near enough? Else name it with --board ({', '.join(b.name for b in boards)}, or its JSON file)"
         )
     return found
@@ -231,5 +231,5 @@ def require_strips(board: Board | None, for_what: str) -> BoardTemplate:
 
 
 def first_frames(videos: list[Path]) -> dict[str, Iterable[np.ndarray]]:
-    """Return each video's first frames, read when they are asked for, by the camera's name."""
+    """Return each video's first frames, read when needed, by the camera's name."""
     return dict(zip(distinct_names(videos), (islice(stored_frames(video), LOOK_AT) for video in videos), strict=True))

@@ -2,8 +2,8 @@
 
 One LED of the ring is lit at a time, so a picture shows an arc: as many LEDs as steps lie in its exposure. The arc's
 middle is the middle of the exposure, whatever the LEDs' brightness does to saturate; with a rolling shutter every LED
-is seen at its own line's time, and the arc's place in the picture tells the lines' delay too. The counter, in plain
-binary, tells the round; it is read where the exposure lies within one.
+is seen at its own line's time, and the arc's place in the picture also gives the lines' delay. The counter, in plain
+binary, gives the round; it is read where the exposure lies within one.
 """
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ MOST_VOTES = 100  # frames that vote on the count
 
 @dataclass(frozen=True)
 class _Arc:
-    """How brightly an LED shows by its distance from the exposure's middle, in steps: 1 nearer than half the arc, 0
+    """Brightness of an LED by its distance from the exposure's middle, in steps: 1 nearer than half the arc, 0
     beyond, and a ramp between. Both ends look alike, however the camera saturates.
 
     Attributes:
@@ -103,8 +103,8 @@ def decode_ring(signals: RingSignals, board: RingBoard, options: DecodeOptions) 
         return _decode_shown(signals, board, options, bright)
     if not options.steady:
         raise NotDecodable(
-            f"the board is not found in {int((~shown).sum())} of {len(shown)} frames; a camera whose rate varies "
-            "(--clock free) has no clock that would carry over them"
+            f"the board is not found in {int((~shown).sum())} of {len(shown)} frames; with --clock free "
+            "the times of such frames cannot be interpolated"
         )
     return carried_over(_decode_shown(signals.among(shown), board, options, bright), shown)
 
@@ -129,7 +129,7 @@ def _decode_shown(signals: RingSignals, board: RingBoard, options: DecodeOptions
         raise NotDecodable(f"only {int(used.sum())} frames show the ring well enough to agree on a clock")
     exposure = (
         float(2 * arc.half if arc.half > 0.75 else arc.ramp) * board.step_us
-    )  # of an arc of one LED its ramp tells
+    )  # an arc of one LED is placed by its ramp
     centre = [width / 2, height / 2]
     vote = _vote(signals, read, fused[:, None] + (signals.counter_px - centre) @ arc.delay, board, exposure)
     axis = int(np.abs(arc.delay).argmax())
@@ -331,7 +331,7 @@ def _own_times(ring: _Ring, arc: _Arc, time: np.ndarray) -> tuple[np.ndarray, np
         [np.where(ring.usable, (arc.light(off + shift) - ring.light) ** 2, 0).sum(1) for shift in shifts], 1
     )
     low = cost <= cost.min(1, keepdims=True) + FLAT
-    shift = shifts[np.where(low, np.abs(shifts), np.inf).argmin(1)]  # where nothing tells, the clock is right
+    shift = shifts[np.where(low, np.abs(shifts), np.inf).argmin(1)]  # without evidence, keep the clock
     for _ in range(3):
         slope = np.where(ring.usable, arc.slope(off + shift[:, None]), 0)
         miss = np.where(ring.usable, ring.light - arc.light(off + shift[:, None]), 0)

@@ -1,4 +1,4 @@
-"""How two films' clocks lie by their sound: a clap, voices or the fire's crackle, heard by both.
+"""The offset of two films' clocks, from their sound: a clap, voices or the fire's crackle, heard by both.
 
 Stretches of one track are sought in the other by the correlation of their phases (GCC-PHAT), which has a sharp peak
 whatever the microphones' tone and level. All stretches together give the lag; a line through their own peaks refines it
@@ -28,7 +28,7 @@ class NoSoundClock(GofError):
 
 @dataclass(frozen=True)
 class SoundLag:
-    """What one film hears at t s, the other hears at t + lag_s + drift * t, each on its own clock.
+    """Offset of two films' clocks: a sound at t s of one film is at t + lag_s + drift * t of the other.
 
     Attributes:
         lag_s, drift: drift is a ratio; 0 where the sound is too short to tell.

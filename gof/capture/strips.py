@@ -196,7 +196,7 @@ def fit(
 
 
 def _moved(curve: np.ndarray, shift: float, period: float) -> np.ndarray:
-    """Return (S, B) the curves as they are `shift` us later."""
+    """Return (S, B) the curves `shift` us later."""
     bins = curve.shape[1]
     grid = np.arange(bins)
     return np.stack([np.interp((grid + shift * bins / period) % bins, grid, c, period=bins) for c in curve])

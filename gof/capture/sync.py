@@ -103,7 +103,7 @@ def _said(camera: SyncedVideo) -> list[str]:
 
 def _estimate_missing(cameras: list[SyncedVideo]) -> list[SyncedVideo]:
     """Return cameras without a board get an estimated clock, where one with a board filmed the same flame; the others
-    stay as they are, and say why not."""
+    are kept, with the reason."""
     if all(c.times for c in cameras) or not any(c.times for c in cameras):
         return cameras
     known = {c.name: (Path(c.video), c.times, read_light(Path(c.video))) for c in cameras if c.times}

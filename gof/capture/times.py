@@ -29,7 +29,7 @@ class FrameTime:
 
 @dataclass(frozen=True)
 class CounterReading:
-    """How many counts the visible LEDs allow, and which share of the clean LED readings agrees with the first."""
+    """Number of counts that the visible LEDs allow, and the share of clean LED readings that agrees with the first."""
 
     candidates: int
     agreement: float

@@ -1,4 +1,4 @@
-"""`gof capture`: names its parts and loads only the one that is asked for."""
+"""`gof capture`: lists its parts and loads only the part that is run."""
 
 from __future__ import annotations
 

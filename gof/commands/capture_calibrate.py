@@ -51,7 +51,7 @@ def main(argv: list[str]) -> int:
     require_free(out)
     require_number("--views", config.views, least=1)
     target = config.charuco.target()
-    target.pattern()  # impossible sizes are said before anything is read
+    target.pattern()  # impossible sizes are refused before anything is read
     cameras = []
     for name, path in zip(distinct_names(config.footage), config.footage, strict=True):
         found = calibrate_footage(name, path, target, config.views)

@@ -19,7 +19,7 @@ SIGNS = {"good": ("✓", "green"), "look": ("!", "yellow"), "bad": ("✗", "bold
 
 @dataclass(frozen=True)
 class CheckFootageConfig:
-    """Look at films of a fire and say what will spoil them, and how to film better.
+    """Check films of a fire for problems that will spoil a reconstruction, and advise how to film better.
 
     Examples:
       gof capture check-footage cam_0.mp4 cam_1.mp4 cam_2.mp4

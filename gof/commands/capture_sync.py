@@ -183,7 +183,7 @@ def said_once(take: FrameTimesFile) -> str:
 def write_beside(
     out: Path, report: bool, videos: tuple[Layout, Codec] | None, take: FrameTimesFile, charts: Mapping[str, Chart]
 ) -> None:
-    """Write the report and the aligned videos, as asked for; one camera alone has neither."""
+    """Write the report and the aligned videos that the options request; one camera alone has neither."""
     together = sum(camera.times is not None for camera in take.cameras) > 1
     if report and together:
         print(write_report(out / "report.html", take, charts))

@@ -1,4 +1,4 @@
-"""The `gof` command: names the commands, loads only the one that is asked for, prints errors people can act on."""
+"""The `gof` command: lists the commands, loads only the command that is run, and prints errors that say what to do."""
 
 from __future__ import annotations
 
@@ -153,7 +153,8 @@ def _fault(error: Exception, argv: list[str]) -> str:
     where = f"{os.path.basename(frames[-1].filename)}:{frames[-1].lineno}" if frames else "an unknown place"
     said = " ".join(printable(str(error)).split())[:200]
     return (
-        f"gof {argv[0] if argv else ''}: a fault of gof, not of yours: {type(error).__name__} at {where}: {said}. "
+        f"gof {argv[0] if argv else ''}: an error in gof itself, not in your input: "
+        f"{type(error).__name__} at {where}: {said}. "
         f"Please report it with what gof doctor prints, and with what the same command prints after {DEBUG_VARIABLE}=1"
     )
 

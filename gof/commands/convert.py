@@ -62,11 +62,11 @@ class ConvertConfig:
     world: Path | None = None
     """COLMAP model (folder), or JSON with "training_to_world": the method's normalisation of that world is undone."""
     world_by: WorldBy | None = None
-    """Whose normalisation that was: FreeTimeGsVanilla's own, or gsplat's; default: found out from the result."""
+    """Program that normalised the world: FreeTimeGsVanilla's own, or gsplat's; default: found out from the result."""
     code_date: str | None = None
     """Date, as 2024-09-15, of the code that trained it, where the meaning of its files has changed (4DGS of Yang)."""
     flame_only: bool = False
-    """Another method's result is a flame without a room: it is drawn over the fire-free plates, as ours is."""
+    """Mark another method's result as a flame alone: it is then drawn over the fire-free backgrounds, as gof's own."""
     align: Path | None = None
     """The method's own cameras (COLMAP folder, dataset.json, transforms.json, or JSON of name to 4x4
     world_to_camera): the result is moved by the similarity that maps them onto the cameras of --dataset."""

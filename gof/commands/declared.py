@@ -129,7 +129,7 @@ def _default(field: dataclasses.Field) -> Any:
 
 
 def _typed(value: Any) -> str:
-    """Return a default as it is typed."""
+    """Return a default in the form in which it is typed."""
     if value is dataclasses.MISSING:
         return ""
     if isinstance(value, (tuple, list)):

@@ -258,7 +258,7 @@ def eve_table(scores: Scores) -> Table:
 def picture_table(scores: Scores) -> Table:
     """Return the pictures' scores with those of the plate; scores that no picture has are left out."""
     table = Table(title=f"Held-out pictures{_at_size(scores)}", title_justify="left")
-    for column in ("score", "result", "fire-free plate alone"):
+    for column in ("score", "result", "background alone"):
         table.add_column(column, justify="left" if column == "score" else "right")
     for key, label, digits in PICTURE_ROWS:
         own = getattr(scores, key)
@@ -270,7 +270,7 @@ def picture_table(scores: Scores) -> Table:
 
 def around_table(scores: Scores) -> Table:
     """Return the pictures from all around, by the angle from the nearest given camera; empty without such cameras."""
-    table = Table(title="From all around: the flame over plates that were not given", title_justify="left")
+    table = Table(title="From all around: the flame over backgrounds not given to the result", title_justify="left")
     for column in ("angle", "cameras", "PSNR flame (dB)", "SSIM flame", "sharpness / true", "false colour"):
         table.add_column(column, justify="right")
     for angle in sorted({round(score.angle_deg) for score in scores.around}):
@@ -307,7 +307,7 @@ def _counted(scores: Scores, key: str) -> str:
 
 
 def published_table(scores: Scores) -> Table:
-    """Return the authors' figures beside what they publish; empty when not asked for."""
+    """Return the authors' figures beside what they publish; empty without --published."""
     table = Table(title=f"Held-out pictures{_at_size(scores)}, by the authors' definitions", title_justify="left")
     for column in ("score", "result", "published, other footage"):
         table.add_column(column, justify="left" if column == "score" else "right")

@@ -53,9 +53,9 @@ class CompareConfig:
     time: Seconds | None = None
     """On the dataset clock, of which the nearest frame is taken; default: the held-out one with most flame."""
     show: tuple[Kind, ...] = KINDS
-    """Which rows."""
+    """Rows to show."""
     parts: Annotated[tuple[str, ...], tyro.conf.arg(metavar="N|X,Y,W,H")] = ("2",)
-    """How many parts are enlarged, where the results' mean error is largest; or which, each as left, top, width and
+    """Number of enlarged parts, where the results' mean error is largest; or the parts, each as left, top, width and
     height in pixels: 60,120,40,40."""
     width_in: Inches = WIDTH_IN
     """Width of the page."""

@@ -72,7 +72,7 @@ class IngestConfig:
     """Horizontal field of view of the stored pictures, for all cameras, when there is no --cameras. A phone stores an
     upright video lying, with a rotation tag: then it is along the long side."""
     turn: tuple[Turn | Literal["auto"], ...] = ("auto",)
-    """How to turn the stored pictures upright, one for all or one each; "auto": by the file's rotation tag (phones
+    """Turn that makes the stored pictures upright, one for all or one each; "auto": by the file's rotation tag (phones
     write it)."""
     plates: Annotated[str, tyro.conf.arg(metavar="steady|minimum|FOLDER")] = "steady"
     """The fire-free picture of each camera: "steady", its minimum over time where fire passed and the temporal median
@@ -90,7 +90,7 @@ class IngestConfig:
     baseline_m: Metres | None = None
     """Distance between the first and the last camera: gives the scale."""
     flame_height_m: Metres | None = None
-    """Of a single camera: height of the flame from its foot to its highest tip; gives the scale."""
+    """For a single camera: height of the flame from its foot to its highest tip; gives the scale."""
     poses: Solver = "auto"
     """"features": structure from motion; "points": board or --points, refined with features; "auto": the first that
     holds."""
@@ -103,7 +103,7 @@ class IngestConfig:
     up: UpChoice = "auto"
     """Direction of Z: "points" of --points that mark what is upright or level, the cameras' "accelerometer" (GoPro),
     "edges" of upright things (posts, walls), the sync "board" standing upright, the "cameras" held level on average;
-    "auto": the first of points, accelerometers (two that agree), edges (if they agree) and cameras that says it."""
+    "auto": the first of points, accelerometers (two that agree), edges (if they agree) and cameras that gives one."""
     max_size: Pixels | None = None
     """The dataset's pictures with a longer side are shrunk to it; poses are always solved at full size."""
     start: tuple[int, ...] = (0,)
@@ -176,7 +176,7 @@ def ingest(config: IngestConfig) -> Ingested:
         (out / SYNC / FILE).unlink(missing_ok=True)  # of a run that was cut off, perhaps of other videos
         find_clocks(SyncConfig(config.videos, out / SYNC, config.board, report=False))
     if config.flame_height_m is not None and (len(footage.videos) > 1 or footage.world_to_camera is not None):
-        raise GofError("--flame-height-m: for a single camera whose place is not known; leave it out")
+        raise GofError("--flame-height-m: only for a single camera whose pose is not known; leave it out")
     pose_options = PoseOptions(
         solver=config.poses,
         by_hand=tuple(read_points(config.points, footage.names)) if config.points else (),
@@ -252,8 +252,8 @@ def other_clip(footage: Footage, folder: Path) -> Footage:
     videos = tuple(folder / video.name for video in footage.videos)
     if any(video.exists() and video.samefile(own) for video, own in zip(videos, footage.videos, strict=True)):
         raise GofError(
-            f"--with-clip {folder}: is this clip itself, whose held-out frames must not get into a plate; what its "
-            "videos have outside the clip is used by --plates steady:200"
+            f"--with-clip {folder}: is this clip itself; its held-out frames must not be used for backgrounds. "
+            "For frames outside the clip use --plates steady:200"
         )
     if len(set(videos)) < len(videos):
         raise GofError("--with-clip: this clip's videos share a name; put each clip's videos into a folder of its own")
@@ -279,7 +279,7 @@ def open_footage(config: IngestConfig) -> Footage:
 def up_in_words(up: UpReport) -> str:
     """Return the source of Z, for people."""
     if up.source == "cameras":
-        return "up: the cameras' mean up, as true as they are level; no other sign of the vertical (see --up)"
+        return "up: the cameras' mean up, right if they were level; nothing else shows the vertical (see --up)"
     source = {
         "points": "the marked points",
         "accelerometer": "the cameras' accelerometers",

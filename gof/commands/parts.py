@@ -1,4 +1,4 @@
-"""Commands of several parts: `gof NAME PART` names its parts and loads only the one that is asked for."""
+"""Commands of several parts: `gof NAME PART` lists its parts and loads only the part that is run."""
 
 from __future__ import annotations
 

@@ -48,7 +48,7 @@ class ReconstructConfig:
     steps: int | None = None
     """Optimisation steps, one training picture each."""
     gaussians: int | None = None
-    """How many Gaussians in all frames together."""
+    """Number of Gaussians in all frames together."""
     voxels: int | None = None
     """Voxels along the longest side of the flame's box: resolution of the light, and a bound of the Gaussians' size.
     The gas' velocity is always computed on 72, the resolution at which the flow prior was trained."""
@@ -70,7 +70,7 @@ class ReconstructConfig:
     """Use the apparent motion as the gas' velocity, as the paper does. By default a prior trained on simulated flames
     converts apparent motion to gas velocity and its uncertainty."""
     until: Until = "result"
-    """Stop after this stage, to look at its pictures; the command without --until goes on from there."""
+    """Stop after this stage, to look at its pictures; the command without --until continues from there."""
     ablation: Ablation = "none"
     """Leave a part of the method out, as in the paper's ablations (see gof.reconstruct.ablations)."""
     seed: int = 0
@@ -106,7 +106,7 @@ def main(argv: list[str]) -> int:
     )
     if result is None:
         pictures = out / "stages"
-        print(f"stopped after {config.until}: pictures in {pictures}; the same command without --until goes on")
+        print(f"stopped after {config.until}: pictures in {pictures}; run the same command without --until to continue")
         write_figures({"stopped_after": config.until, "pictures": str(pictures)})
         return 0
 

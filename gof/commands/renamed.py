@@ -17,7 +17,7 @@ COMMANDS = {"static": "ingest"}
 
 @dataclass(frozen=True)
 class New:
-    """The new name of an option, whose values stay as they are."""
+    """The new name of an option; its values stay the same."""
 
     name: str
 

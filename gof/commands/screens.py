@@ -17,7 +17,7 @@ LEAST_COLUMNS, MOST_COLUMNS, BEGIN = 60, 110, 24
 
 
 def asked_for(argv: Sequence[str]) -> bool:
-    """Return whether a command line asks for help."""
+    """Return whether a command line requests help."""
     return any(word in (*SHORT, WHOLE) for word in argv)
 
 

@@ -1,4 +1,4 @@
-"""`gof share`: results in one HTML file that moves, to send to somebody."""
+"""`gof share`: write results to one HTML file that plays, to send to other people."""
 
 from __future__ import annotations
 

@@ -38,7 +38,7 @@ UNKNOWN = (
 
 @dataclass(frozen=True)
 class FilmStyle:
-    """How a film looks beyond its panels; fields of `--style`."""
+    """The look of a film beyond its panels: fields of `--style`."""
 
     recorded: bool = False
     """With --camera-path camera: a panel with what that camera recorded."""
@@ -47,11 +47,11 @@ class FilmStyle:
     slow: float = 10.0
     """Slow motion: seconds of film for one second of the clip."""
     seconds: float = 6.0
-    """How long time stands still, with --mode freeze or bullet."""
+    """Seconds of film for which time stands still, with --mode freeze or bullet."""
     stop: float | None = None
-    """Where time stands still, in seconds on the dataset clock; default: the middle of the clip."""
+    """Time at which the clip stands still, in seconds on the dataset clock; default: the middle of the clip."""
     degrees: float = 360.0
-    """How far around the flame the camera goes; with less than 360 it goes to both sides and back."""
+    """Angle that the camera goes around the flame; below 360 degrees it goes to both sides and back."""
     scene: str | None = None
     """Still scene around results that are the flame alone: background.npz of `gof background`."""
     reduced: float = 0.3
@@ -127,7 +127,7 @@ class VideoConfig:
     """Film to write (.webm, .mp4, .webp), or a .png of the instant where time stops; default: film.webm beside the
     result. A film that was stopped goes on."""
     camera_path: Way = "orbit"
-    """Where the camera goes: around the flame; through the dataset's cameras and back; or it stays in one."""
+    """Path of the camera: around the flame; through the dataset's cameras and back; or it stays in one."""
     mode: Clock = "play"
     """Course of time: plays; stands still (freeze); plays, stops while the camera goes its way, plays on (bullet)."""
     panels: tuple[Panel, ...] = ("rgb", "depth", "velocity", "reduced")
@@ -137,8 +137,8 @@ class VideoConfig:
     fps: Rate = 30.0
     """Frames per second of the film."""
     style: Annotated[tuple[str, ...], tyro.conf.arg(metavar="KEY=VALUE|FILE.json")] = ()
-    """How it looks: recorded, camera, slow, seconds, stop, degrees, scene, reduced, keep_frames; --help-all explains
-    them."""
+    """Look of the film: recorded, camera, slow, seconds, stop, degrees, scene, reduced, keep_frames (see
+    --help-all)."""
 
 
 def main(argv: list[str]) -> int:
@@ -194,11 +194,9 @@ def _check(config: VideoConfig, style: FilmStyle) -> None:
     require_number("--fps", config.fps, least=1, most=240)
     require_number("--max-size", config.max_size, least=16, most=MOST_SIZE)
     if "error" in config.panels and not style.recorded:
-        raise GofError("--panels error: an error is against what was recorded; add --style recorded")
+        raise GofError("--panels error: needs the recorded picture to compare with; add --style recorded")
     if style.recorded and config.camera_path != "camera":
-        raise GofError(
-            "--style recorded: only a camera that stays has recorded what it shows; add --camera-path camera"
-        )
+        raise GofError("--style recorded: needs a camera that stays where it recorded; add --camera-path camera")
     if config.out is not None:
         require_film(config.out)
 

@@ -208,7 +208,7 @@ def bent_by(fields: dict[str, Any]) -> list[str]:
 
 
 def _says(value: Any) -> bool:
-    """Whether a field of distortion says that there is some."""
+    """Return whether a field of distortion says that there is some."""
     return any(map(_says, value)) if isinstance(value, list) else bool(value)
 
 

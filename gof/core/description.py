@@ -141,7 +141,7 @@ class DatasetDescription:
 
     @property
     def datum(self) -> Datum:
-        """Return the datum for whoever computes in float32, for places and times; zeros where the dataset lies near
+        """Return the datum of places and times for computing in float32; zeros where the dataset lies near
         zero."""
         centres = [camera.position for camera in self.cameras_from(Datum(), "train")]
         return Datum.of(np.array(centres), np.array(self.time_s))

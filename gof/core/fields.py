@@ -131,7 +131,7 @@ def trilinear(grid: np.ndarray, coordinate: np.ndarray) -> np.ndarray:
 
 
 class GridSequence:
-    """A quantity on a cell-centred grid over time in a chunked zarr store; cells are read when asked for.
+    """A quantity on a cell-centred grid over time in a chunked zarr store; cells are read when needed.
 
     Args:
         array: as `open_array` gives it.
@@ -219,7 +219,7 @@ class GridSequence:
         return values
 
     def cells_at(self, time_s: float) -> np.ndarray:
-        """As `cells`, float32, of a time: a stored frame within 1 us, otherwise linear between the two around it.
+        """Return `cells` at a time, float32: a stored frame within 1 us, otherwise linear between the two around it.
 
         Raises:
             DataFormatError: the time lies outside the stored clock.

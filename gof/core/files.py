@@ -124,7 +124,7 @@ _named: set[Path] = set()  # links, as the user has written them
 def follow_links_of(argv: Iterable[str]) -> None:
     """Remember the links that a command line names: an output of that name goes to where the link leads.
 
-    Other links lie in folders that somebody else may have made, and are never written through.
+    Other links may have been made by other people, and are never written through.
     """
     words = [part for word in argv for part in (word, word.partition("=")[2]) if part]
     _named.update(path.absolute() for path in map(Path, words) if os.path.islink(path))
@@ -258,7 +258,7 @@ def only_run_in(folder: Path) -> Iterator[None]:
 
 
 def _opened_lock(path: Path) -> IO[str]:
-    """Return the lock's file, made if absent; never what a link of its name leads to, as it is written."""
+    """Return the lock's file, made if absent. A link of its name is never followed, because the file is written."""
     try:
         number = os.open(path, os.O_RDWR | os.O_CREAT | os.O_APPEND | getattr(os, "O_NOFOLLOW", 0), 0o666)
     except OSError as e:

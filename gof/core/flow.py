@@ -77,7 +77,7 @@ def _read_flo(path: Path) -> tuple[np.ndarray, np.ndarray]:
 
 @dataclass(frozen=True)
 class FlowScore:
-    """How far motion is from the true one, over pixels.
+    """Errors of motion against the true motion, over pixels.
 
     Attributes:
         epe_px: mean end-point error, px per frame.

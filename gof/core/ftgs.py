@@ -155,7 +155,7 @@ def losses(gaussians: TransientGaussians, start_s: float, end_s: float) -> list[
     short = gaussians.dynamic & (gaussians.t_sigma < MIN_DURATION * (end_s - start_s))
     notes = [f"its times 0..1 are {start_s:g}..{end_s:g} s of the dataset clock (comment {CLIP})"]
     if gaussians.gas_velocity is not None:
-        notes.append("velocities are how the Gaussians move; what the gas does (v_gas) is left out")
+        notes.append("velocities are those of the Gaussians; the velocity of the gas (v_gas) is left out")
     if short.any():
         notes.append(
             f"{short.sum()} of {len(short)} life times were shorter than the format's least, {MIN_DURATION} of the "

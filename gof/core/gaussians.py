@@ -1,4 +1,4 @@
-"""TransientGaussians: the data model of a reconstruction, and what every model of moving Gaussians can be asked.
+"""TransientGaussians: the data model of a reconstruction, and the methods of every model of moving Gaussians.
 
 Each Gaussian is a short-lived volumetric carrier of emission (paper, "Dynamic Scene"):
 x(t) = x0 + (t - t_mu) v and opacity(t) = opacity * exp(-0.5 ((t - t_mu) / t_sigma)^2).
@@ -189,7 +189,7 @@ class TransientGaussians:
     def transformed(self, matrix: np.ndarray) -> TransientGaussians:
         """In another world, by a similarity (4, 4); velocities turn and stretch with it, times stay.
 
-        It maps places as they are measured here; the other world has no known datum.
+        It maps places measured from this datum; the datum of the other world is not known.
 
         Raises:
             GofError: not a similarity (sheared, mirrored or singular).

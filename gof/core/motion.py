@@ -41,7 +41,7 @@ class Motion:
     """Gaussians by a function of time; goes wherever a result goes (`gof.core.gaussians.MovingGaussians`).
 
     Args:
-        function: time on the dataset clock, s -> `State`. Also asked half a `step_s` beside the scored times.
+        function: time on the dataset clock, s -> `State`. Also called half a `step_s` beside the scored times.
         covered_s: first and last second that it covers.
         times_s: when it is sampled to be saved: the frames' times and half steps, say.
         step_s: over which velocities are differences where a state has none. A network in float32 knows no less than
@@ -105,7 +105,7 @@ class Motion:
         return replace(self, matrix=np.asarray(matrix) @ (np.eye(4) if self.matrix is None else self.matrix))
 
     def measured_from(self, datum: Datum) -> Motion:
-        """Itself: the function is asked in the times, and answers in the places, of whoever uses it."""
+        """Return itself: times and places of the function are those of its caller."""
         return self
 
     def save(self, path: str | Path, source: str = "") -> Path:

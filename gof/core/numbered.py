@@ -38,7 +38,7 @@ def number_files(paths: Iterable[Path]) -> list[tuple[int, Path]]:
         found = frame_of(path)
         if found is None:
             raise DataFormatError(
-                f"{path}: its name has no number that says which frame it is, as {files[0].parent / 'frame_0001'} "
+                f"{path}: its name has no frame number, as {files[0].parent / 'frame_0001'} "
                 "would; rename it, or keep it elsewhere"
             )
         name, number, digits = found

@@ -71,7 +71,7 @@ class Ply:
         unread = [n for n in self.vertex.dtype.names if n not in read and not re.fullmatch(r"f_rest_[0-9]{1,4}", n)]
         if unread:
             raise DataFormatError(
-                f"{self.path}: properties {unread[:6]} are not read, and may change what the others mean (as "
+                f"{self.path}: properties {unread[:6]} are not read, and may change the meaning of the others (as "
                 "Mip-Splatting's filter_3D does sizes); export the PLY without them"
             )
 

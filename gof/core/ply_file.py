@@ -211,7 +211,7 @@ def _walk(file: IO[bytes], element: Element, order: Order, path: Path) -> np.nda
                 numbers += value
             if place > len(data):
                 raise DataFormatError(
-                    f"{path}: row {row} of '{element.name}' goes on behind the end of the file with '{p.name}'; "
+                    f"{path}: row {row} of '{element.name}' continues beyond the end of the file with '{p.name}'; "
                     "truncated? Copy or export it again"
                 )
     file.seek(place - len(data), os.SEEK_CUR)
@@ -255,7 +255,7 @@ def _numbers(words: list[str], element: Element) -> tuple:
         if not p.count:
             found.append(value)
     if place != len(words):
-        raise ValueError(f"{len(words)} values where the header asks for {place}")
+        raise ValueError(f"{len(words)} values, but the header announces {place}")
     return tuple(found)
 
 

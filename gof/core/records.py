@@ -82,7 +82,7 @@ def claim(path: Path, record: Record, made: Path) -> None:
     """Write what something is made with beside it, or make sure that it is made with the same.
 
     Args:
-        path: of the record.   made: the file that tells that it is finished.
+        path: of the record.   made: the file whose presence means that the folder is finished.
     Raises:
         GofError: it was made with other settings (named), or by an older version that did not write them down.
     """

@@ -25,7 +25,7 @@ SEEN = ("rgb", "static", "mask", "board_mask")  # kinds of files that are made s
 
 @dataclass(frozen=True)
 class Dataset:
-    """A capture or a benchmark scene. Frames and cameras are numbered from 0; images are read when asked for.
+    """A capture or a benchmark scene. Frames and cameras are numbered from 0; images are read when needed.
 
     A world or a clock far from zero (UTM coordinates, Unix time) is measured from `datum`: cameras, times and the true
     velocity alike. `description` says what the file says.
@@ -75,7 +75,7 @@ class Dataset:
 
     @cached_property
     def datum(self) -> Datum:
-        """Return the datum of places and times; zeros unless float32 would round them as they are."""
+        """Return the datum of places and times; zeros unless float32 would round the values."""
         return self.description.datum
 
     @property
@@ -189,7 +189,7 @@ class Dataset:
 
     @property
     def has_velocity(self) -> bool:
-        """Whether the true velocity is known (never of a real capture)."""
+        """Return whether the true velocity is known (never of a real capture)."""
         return self.description.velocity is not None
 
     @cached_property

@@ -68,10 +68,10 @@ def pack(dataset: Dataset, out: Path, licence: str, authors: tuple[str, ...], pr
         DataFormatError: see `files_of`.
     """
     if not licence.strip() or not authors:
-        raise GofError("a packed dataset says who made it, and what others may do with it: give a licence and authors")
+        raise GofError("a packed dataset states its authors and its licence: give both")
     root = dataset.path.resolve()
     if out.resolve().is_relative_to(root):
-        raise GofError(f"{out}: lies in the dataset that is packed; choose another --out")
+        raise GofError(f"{out}: is inside the dataset that is packed; choose another --out")
     names = files_of(root)
     total = sum((root / name).stat().st_size for name in names)
     newest = max((root / name).stat().st_mtime_ns for name in names)

@@ -47,7 +47,7 @@ def own_plate(static: np.ndarray, name: str, result: Path | None) -> np.ndarray:
         static: (H, W, 3) the dataset's plate, which it is where the result has none.
         name: of the camera.
         result: file or folder of the result, None when there is none. Its plates may be smaller than the dataset's
-            pictures; then what they add to the dataset's plate is enlarged, and the plate stays as sharp as it is.
+            pictures; then what they add to the dataset's plate is enlarged, and the plate keeps its sharpness.
     Raises:
         DataFormatError: a plate cannot be read, or is larger than the dataset's pictures.
     """

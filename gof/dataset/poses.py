@@ -32,7 +32,7 @@ class FeatureFigures:
 
 @dataclass(frozen=True)
 class PointCheck:
-    """How well marked points fit poses that need not have used them, from points in two or more views.
+    """Fit of marked points to poses that need not have used them, from points in two or more views.
 
     Attributes:
         reprojection_px: mean over the points; None where the rays to a point are parallel and never meet.
@@ -47,7 +47,7 @@ class PointCheck:
 
 @dataclass(frozen=True)
 class UpReport:
-    """How the world's Z is known.
+    """Source of the world's Z axis.
 
     Attributes:
         source: marked "points", the cameras' "accelerometer", "edges" of upright things, the "board" standing upright,
@@ -66,7 +66,7 @@ class UpReport:
 
 @dataclass(frozen=True)
 class PoseReport:
-    """Where the poses are from, and the figures they were judged by.
+    """Source of the poses, and the figures by which they were judged.
 
     Attributes:
         method: "features": structure from motion; "points": the board or points by hand; "rig": those of another clip;

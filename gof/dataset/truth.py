@@ -1,4 +1,4 @@
-"""The true velocity of a dataset in a few numbers, so that two datasets can be told to be the same scene.
+"""The true velocity of a dataset in a few numbers, which show whether two datasets are the same scene.
 
 The digest is of the numbers, not of the files: another compression is the same truth. A solver that rounds otherwise on
 another CPU gives another digest and nearly the same speeds.

@@ -1,4 +1,4 @@
-"""EVE, the emission-weighted evaluation of velocities: DVE's two numbers asked where the fire is, not where a result's
+"""EVE, the emission-weighted evaluation of velocities: DVE's two numbers where the fire is, not where a result's
 Gaussians are.
 
 With e(x, t) the true light of a place, V(x, t) the true velocity there, and v(x, t) the mean velocity of the result's
@@ -153,7 +153,7 @@ def score_eve(
 
 
 def _said(state: TransientGaussians, field: StoredField, time_s: float, seen: np.ndarray) -> dict[str, np.ndarray]:
-    """Return the velocities (N, 3) that Gaussians are asked for; "true_centre" of the `seen` rows alone."""
+    """Return the velocities (N, 3) of the Gaussians that are compared; "true_centre" of the `seen` rows alone."""
     moving = state.dynamic[:, None]
     said = {"own": state.moving_gas.astype(np.float64)}
     if state.gas_velocity is not None:

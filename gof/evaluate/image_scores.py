@@ -42,7 +42,7 @@ class Extras:
 class FoundImageScores:
     """`means` over pictures, and what is behind them.
 
-    `published`: means of the authors' figures; None when not asked for.
+    `published`: means of the authors' figures; None when they were not requested.
     """
 
     means: PictureFigures

@@ -1,4 +1,4 @@
-"""How sure a mean over a clip's frames is, and whether two methods can be told apart.
+"""Uncertainty of a mean over a clip's frames, and whether two methods differ significantly.
 
 Neighbouring frames show the same eddies, so the frames of a clip are not so many independent measurements. Blocks of
 one eddy time are drawn again and again in their place (the circular block bootstrap of Politis and Romano, 1992). For a
@@ -130,8 +130,8 @@ def over_runs(runs: Sequence[Sequence[float]], eddy_frames: float) -> Estimate:
 def over_scenes(scenes: Sequence[Estimate]) -> Estimate:
     """Return mean over scenes.
 
-    From three scenes on, the scenes are a sample of all fires: their spread tells how sure the mean is, and holds what
-    frames and seeds add. With one or two it is only as sure as frames and seeds make it, and says nothing of others.
+    From three scenes on, the scenes are a sample of all fires: their spread gives the uncertainty of the mean, and
+    includes that of frames and seeds. With one or two it comes from frames and seeds alone, and holds for these scenes.
     """
     means = np.array([scene.mean for scene in scenes])
     if len(scenes) >= 3:
@@ -148,7 +148,7 @@ def over_scenes(scenes: Sequence[Estimate]) -> Estimate:
 
 def ranks(means: Sequence[float], p_values: np.ndarray, better: int) -> list[tuple[int, int]]:
     """Return the best and the worst place that a method may have: behind all that are better for certain, before all
-    that are worse for certain. Who cannot be told apart shares places.
+    that are worse for certain. Methods that do not differ significantly share places.
 
     Args:
         means: of each method.
@@ -164,7 +164,7 @@ def ranks(means: Sequence[float], p_values: np.ndarray, better: int) -> list[tup
 
 
 def apart(p_values: np.ndarray) -> np.ndarray:
-    """Return (M, M) bool: which pairs can be told apart, with at most 1 - CONFIDENCE of a wrong one among all (Holm,
+    """Return (M, M) bool: which pairs differ significantly, with at most 1 - CONFIDENCE of a wrong one among all (Holm,
     1979)."""
     first, second = np.triu_indices(len(p_values), 1)
     order = np.argsort(p_values[first, second], kind="stable")

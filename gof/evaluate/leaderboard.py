@@ -77,7 +77,7 @@ def _gradients(value: Callable) -> Callable[[EvaluatedResult], float | None]:
 
 
 def _published(value: Callable[[PublishedFigures], float | None]) -> Callable[[EvaluatedResult], float | None]:
-    """Return one of the authors' figures; None where they were not asked for."""
+    """Return one of the authors' figures; None where they were not requested."""
     return lambda result: None if result.scores.published is None else value(result.scores.published)
 
 
@@ -134,17 +134,17 @@ COLUMNS = {
     "ssim": Column("SSIM", HIGHER, ".4f", lambda result: result.scores.ssim),
     "lpips": Column("LPIPS", LOWER, ".4f", lambda result: result.scores.lpips),
     "flip": Column("FLIP", LOWER, ".4f", lambda result: result.scores.flip),
-    "temporal_l2": Column("change L2", LOWER, ".3f", lambda result: result.scores.temporal_l2),
+    "temporal_l2": Column("frame-to-frame change L2", LOWER, ".3f", lambda result: result.scores.temporal_l2),
     "rmse_depth": Column("RMSE depth (m)", LOWER, ".3f", lambda result: result.scores.rmse_depth),
-    "published_psnr_flame": Column("PSNR moving (dB)", HIGHER, ".2f", _published(lambda p: p.psnr_flame)),
-    "published_ssim_flame": Column("SSIM moving", HIGHER, ".3f", _published(lambda p: p.ssim_flame)),
-    "published_rmse_depth": Column("RMSE 1/depth moving", LOWER, ".3f", _published(lambda p: p.rmse_depth_flame)),
-    "published_lpips": Column("LPIPS whole", LOWER, ".3f", _published(lambda p: p.lpips)),
-    "published_psnr_no_sync": Column("PSNR no board (dB)", HIGHER, ".2f", _published(lambda p: p.psnr_no_sync)),
-    "published_ssim_no_sync": Column("SSIM no board", HIGHER, ".3f", _published(lambda p: p.ssim_no_sync)),
-    "train_s": Column("train (s)", LOWER, ".1f", lambda result: result.train_s),
+    "published_psnr_flame": Column("PSNR moving pixels (dB)", HIGHER, ".2f", _published(lambda p: p.psnr_flame)),
+    "published_ssim_flame": Column("SSIM moving pixels", HIGHER, ".3f", _published(lambda p: p.ssim_flame)),
+    "published_rmse_depth": Column("RMSE 1/depth, moving", LOWER, ".3f", _published(lambda p: p.rmse_depth_flame)),
+    "published_lpips": Column("LPIPS whole picture", LOWER, ".3f", _published(lambda p: p.lpips)),
+    "published_psnr_no_sync": Column("PSNR without board (dB)", HIGHER, ".2f", _published(lambda p: p.psnr_no_sync)),
+    "published_ssim_no_sync": Column("SSIM without board", HIGHER, ".3f", _published(lambda p: p.ssim_no_sync)),
+    "train_s": Column("training (s)", LOWER, ".1f", lambda result: result.train_s),
     "memory_mb": Column("memory (MB)", LOWER, ".0f", lambda result: result.memory_mb),
-    "evaluate_s": Column("evaluate (s)", LOWER, ".1f", lambda result: sum(result.scores.costs.values()) or None),
+    "evaluate_s": Column("scoring (s)", LOWER, ".1f", lambda result: sum(result.scores.costs.values()) or None),
     "gaussians": Column("Gaussians", NEITHER, "d", lambda result: result.scores.gaussians),
 }
 
@@ -153,7 +153,7 @@ COLUMNS = {
 class Row:
     """A line of the leaderboard: a result, or a trivial baseline of the only one. The figures are named as in COLUMNS.
 
-    A line with `other_footage` shows what somebody published for other fires, and one with `unfinished` a training that
+    A line with `other_footage` shows what authors published for other fires, and one with `unfinished` a training that
     was stopped before its end; they are not ranked.
     """
 
@@ -206,7 +206,7 @@ class Row:
 
     @property
     def competes(self) -> bool:
-        """Whether its figures may be the best of a column."""
+        """Return whether its figures may be the best of a column."""
         return not self.trivial_baseline and not self.other_footage and not self.unfinished
 
     def text(self, column: str) -> str:

@@ -1,4 +1,4 @@
-"""Where a result's light is in space, against the true light: what pictures from one side leave open.
+"""Place of a result's light in space, against the true light: what pictures from one side leave open.
 
 A Gaussian adds alpha_i(t) g_i / s_i to the opacity per metre (`gof.evaluate.visible`) and shines in its own colour, so
 its whole light is

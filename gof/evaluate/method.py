@@ -47,7 +47,7 @@ class AboutMethod:
 
     def __post_init__(self):
         if self.name is not None and not self.name.strip():
-            raise DataFormatError("name: is empty; leave it out, and the folder's name stands for it")
+            raise DataFormatError("name: is empty; leave it out to use the folder's name")
         for field in TEXTS:
             if getattr(self, field) is not None and not getattr(self, field).strip():
                 raise DataFormatError(f"{field}: is empty; leave it out, or say it")

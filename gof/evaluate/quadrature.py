@@ -1,4 +1,4 @@
-"""The Gauss-Hermite product rule for expectations under 3D Gaussians; what it asks of a field, and what it gives."""
+"""The Gauss-Hermite product rule for expectations under 3D Gaussians; what it needs of a field, and what it returns."""
 
 from __future__ import annotations
 

@@ -1,6 +1,6 @@
-"""`scores.json`: everything `gof evaluate` finds out about a result. Written by it, read by whoever shows or compares.
+"""`scores.json`: everything `gof evaluate` finds out about a result. It writes the file; pages and comparisons read it.
 
-None stands for "undefined" or "not asked for"; docs/scores.md and docs/formats.md say what each figure means.
+None stands for "undefined" or "not requested"; docs/scores.md and docs/formats.md say what each figure means.
 """
 
 from __future__ import annotations
@@ -250,7 +250,7 @@ class UsedAlignment:
 
 @dataclass(frozen=True)
 class Origin:
-    """How the result was read. `path` and `options` are None for Gaussians that came from memory.
+    """The way in which the result was read. `path` and `options` are None for Gaussians that came from memory.
 
     `over_plates`: it was drawn over fire-free plates, as a flame without its surroundings.
     """
@@ -289,7 +289,7 @@ class AroundScore:
 
 @dataclass(frozen=True, kw_only=True)
 class LightScore:
-    """Where the light is in space; see `gof.evaluate.light.LightResult`."""
+    """Scores of the light's place in space; see `gof.evaluate.light.LightResult`."""
 
     relative_l2: float
     correlation: float
@@ -337,7 +337,7 @@ class Scores(PictureFigures):
 
     @property
     def controls(self) -> dict[str, TrivialScore]:
-        """The trivial baselines by their old name, which goes with the next version."""
+        """Return the trivial baselines by their old name, which goes with the next version."""
         warnings.warn("scores.controls is now scores.trivial_baselines", DeprecationWarning, stacklevel=2)
         return self.trivial_baselines
 

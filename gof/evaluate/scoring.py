@@ -62,7 +62,7 @@ def evaluate(
     """Compute all scores of a result.
 
     Pictures: every held-out frame of every camera. Our own results without static Gaussians are flames before a plate:
-    their own (`gof.dataset.plates`), else the dataset's fire-free one. Everybody else's are drawn as they are, over
+    their own (`gof.dataset.plates`), else the dataset's fire-free one. Other methods' are drawn without it, over
     black: a whole scene drawn over our plates would be scored for them. `flame` scores count pixels of
     the true flame mask only. Pixels of the sync board do not count. Velocities: DVE on every frame of the clip that has
     a true velocity field.

@@ -38,7 +38,7 @@ class StoredField:
 
     @cached_property
     def _shape(self) -> VelocityField:
-        """A field of the same grid whose values take no memory."""
+        """Return a field of the same grid whose values take no memory."""
         return VelocityField(
             np.broadcast_to(np.float32(0), (*self.sequence.resolution, 3)), self.sequence.index_to_world
         )
@@ -205,8 +205,8 @@ def parts(field, low: np.ndarray, high: np.ndarray, rows: np.ndarray) -> Iterato
 
 
 def pool_of(field: VelocityField | StoredField, needed: np.ndarray) -> Pool:
-    """Return a pool for chunks of `touched_chunks`; a stored field keeps its last one, and reads those of it again
-    where that fits: its frame is asked for many times."""
+    """Return the pool for chunks of `touched_chunks`; a stored field keeps its last one, and reads it again where that
+    fits: each of its frames is needed many times."""
     if not isinstance(field, StoredField):
         return _fill(field, needed)
     state = field.__dict__

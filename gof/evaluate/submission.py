@@ -206,7 +206,7 @@ def check(
     datasets: dict[str, Dataset],
     scored: Callable[[Run, Dataset], Scores] | None = None,
 ) -> Iterator[Finding]:
-    """Yield all findings about a submission, as they are made.
+    """Yield all findings about a submission, one by one.
 
     Args:
         datasets: of the suite, by the name of the scene.
@@ -225,8 +225,8 @@ def check(
 
 
 def score_again(run: Run, dataset: Dataset) -> Scores:
-    """Return a run's scores, computed from its files: read and drawn as its scores.json says, scored as everybody's
-    is."""
+    """Return a run's scores, computed from its files: read and drawn as its scores.json says, scored like every
+    other."""
     scored = {"order": ORDER, "opacity": OPACITY}
     return evaluate(run.result, dataset, foreign=run.options, flame_only=run.scores.import_.over_plates, **scored)
 
@@ -237,13 +237,13 @@ def score_again(run: Run, dataset: Dataset) -> Scores:
 def _about(submission: Submission, datasets: dict[str, Dataset]) -> Iterator[Finding]:
     method = submission.method
     missing = method.missing()
-    said = f"does not say {', '.join(missing)}" if missing else "says who, with what code, from what knowledge"
+    said = f"does not say {', '.join(missing)}" if missing else "states authors, code and prior knowledge"
     yield Finding("method.json", "complete", "refused" if missing else "ok", said)
     unknown = sorted(submission.runs.keys() - datasets.keys())
     if unknown:
         yield Finding("scenes", "of the suite", "refused", f"{', '.join(unknown)}: no such scene here")
     absent = sorted(datasets.keys() - submission.runs.keys())
-    said = f"no result of {', '.join(absent)}: the row is shown, and not ranked" if absent else "all there"
+    said = f"no result of {', '.join(absent)}: the row is shown but not ranked" if absent else "all there"
     yield Finding("scenes", "all of them", "hint" if absent else "ok", said)
     few = sorted(scene for scene, runs in submission.runs.items() if len(runs) < SEEDS)
     if method.random and few:

@@ -1,4 +1,4 @@
-"""Methods side by side over the scenes of a suite: means, how sure they are, and who cannot be told from whom.
+"""Methods side by side over the scenes of a suite: means, their uncertainty, and which methods differ significantly.
 
 A figure of a method is the mean over a scene's frames, over its runs there, and over scenes. Two methods are compared
 on the same frames of the same scenes, difference by difference (`gof.evaluate.intervals`).
@@ -402,7 +402,7 @@ def _trivial_rows(whose: dict[str, str], scenes: Sequence[ScoredScene]) -> list[
     rows = [_trivial_row(name, [run.scores for run in runs]) for name in SHOWN]
     plate = {f"{key}": f"{key}_plate" for key in ("psnr_flame", "ssim_flame", "psnr", "ssim")}
     rows.append(
-        ("fire-free plate", "the picture without fire", {key: _mean(runs, of) for key, of in plate.items()}),
+        ("fire-free background", "the picture without fire", {key: _mean(runs, of) for key, of in plate.items()}),
     )
     return [
         BoardRow(

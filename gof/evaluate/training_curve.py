@@ -1,4 +1,4 @@
-"""How a training went: its loss over steps and CPU seconds, and whether it had stopped falling."""
+"""The course of a training: its loss over steps and CPU seconds, and whether it had stopped falling."""
 
 from __future__ import annotations
 

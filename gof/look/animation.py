@@ -139,7 +139,7 @@ def three_views(
 def views_around(
     dataset: Dataset, gaussians: TransientGaussians, angles_deg: dict[str, float]
 ) -> list[tuple[str, list[tuple[str, str]]]]:
-    """Rows of pictures of one frame from all around, as `three_views`, without the difference.
+    """Return rows of pictures of one frame from all around, as `three_views`, without the difference.
 
     Args:
         dataset: seen by its cameras around (`Dataset.around_view`).

@@ -325,7 +325,7 @@ def volume(gaussians: TransientGaussians, time_s: float) -> Volume:
 
 
 def max_projection(density: np.ndarray, velocity: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Seen along Y: density (X, Z) of the densest cell of each column, and its (v_x, v_z) (X, Z, 2)."""
+    """Return the view along Y: density (X, Z) of the densest cell of each column, and its (v_x, v_z) (X, Z, 2)."""
     j = density.argmax(1)[:, None, :]
     picked = np.take_along_axis(velocity, j[..., None], 1)[:, 0]
     return np.take_along_axis(density, j, 1)[:, 0], picked[..., [0, 2]]

@@ -181,7 +181,7 @@ def _errors(drawn: Sequence[np.ndarray], moment: Moment) -> Row:
     found = np.concatenate([np.abs(image - moment.recorded).mean(-1).ravel() for image in drawn])
     most = next((scale for scale in ERROR_SCALES if scale >= np.quantile(found, 0.999)), 1.0)
     note = moment.flame_db(moment.plate)
-    plate = error_tile(moment.judged(moment.plate), moment.recorded, "error: plate alone", note, most)
+    plate = error_tile(moment.judged(moment.plate), moment.recorded, "error: background alone", note, most)
     return [plate, *(error_tile(image, moment.recorded, "error", most=most) for image in drawn)]
 
 
@@ -219,7 +219,7 @@ def largest_errors(drawn: Sequence[np.ndarray], recorded: np.ndarray, count: int
 # A picture, the plate that was made of the clip, and what was taken out: what the removal of the fire is worth.
 
 # Of `gof ingest --plates`, by provenance.
-PLATE_KINDS = {"steady": "plate (steady light)", "minimum": "plate (minimum)"}
+PLATE_KINDS = {"steady": "background (steady light)", "minimum": "background (minimum)"}
 
 
 def fire_removal(dataset: Dataset, frame: int, cameras: Sequence[int], result: Path | None = None) -> list[Row]:
@@ -241,11 +241,11 @@ def _row(dataset: Dataset, frame: int, camera: int, result: Path | None) -> Row:
     row = [picture_tile(image, f"{original(dataset)}, {name}"), picture_tile(plate, _plate_name(dataset))]
     lit = None if result is None else background(dataset, camera, result)[..., :3]
     if lit is not None and not np.array_equal(lit, plate):
-        row.append(picture_tile(lit, "plate of the result"))
+        row.append(picture_tile(lit, "background of the result"))
         plate = lit
     flame = flame_mask(image, dataset.static(camera))
     alone = linear_to_srgb(light_above(image, plate))
-    row.append(picture_tile(alone, "light above the plate"))
+    row.append(picture_tile(alone, "light above the background"))
     board = dataset.board_weight(camera)
     counts = ~flame if board is None else ~flame & (board > 0.5)
     rest = np.abs(image - plate).mean(-1)[counts]
@@ -257,5 +257,5 @@ def _row(dataset: Dataset, frame: int, camera: int, result: Path | None) -> Row:
 def _plate_name(dataset: Dataset) -> str:
     kind = dataset.description.provenance.get("plate")
     if kind is None:
-        return "plate" if dataset.description.is_filmed else "plate (simulated without fire)"
-    return PLATE_KINDS.get(str(kind), f"plate ({kind})")
+        return "background" if dataset.description.is_filmed else "background (simulated without fire)"
+    return PLATE_KINDS.get(str(kind), f"background ({kind})")

@@ -109,7 +109,7 @@ class _View:
         mask = self.seen.observation.mask[self.f, self.number]
         small = self.seen.dataset.image(self.number, self.frame)
         shown = replace(picture_tile(dimmed(small, 0.3 + 0.7 * mask), "flame mask"), outline=mask)
-        return [picture_tile(image, f"picture ({original(self.dataset)})"), picture_tile(plate, "plate"), shown]
+        return [picture_tile(image, f"picture ({original(self.dataset)})"), picture_tile(plate, "background"), shown]
 
     def depths(self, result: TransientGaussians | None, out: Modalities) -> list[Tile]:
         """Show depth of the plates by stereo and a network, of this frame, and of the result, where there is any."""
@@ -117,8 +117,8 @@ class _View:
         sources = {
             "stereo depth": stereo,
             "monocular depth": self._monocular(stereo),
-            "depth, plates": self._ingested(),
-            "depth, gof depth": self._of_frame(),
+            "depth, background": self._ingested(),
+            "depth, this frame": self._of_frame(),
         }
         out.missing |= {name: why for name, why in sources.items() if isinstance(why, str)}
         found = {name: values for name, values in sources.items() if not isinstance(values, str)}

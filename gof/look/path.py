@@ -1,4 +1,4 @@
-"""Where a film's camera is, and what instant it shows, frame by frame."""
+"""Place of a film's camera, and the instant that it shows, frame by frame."""
 
 from __future__ import annotations
 

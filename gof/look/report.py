@@ -168,7 +168,8 @@ def _stage_pictures(folder: Path) -> list[tuple[str, str]]:
 
 def _provenance(dataset: Dataset) -> dict[str, str]:
     provenance = dataset.description.provenance
-    return {f"dataset: {k}": str(v) for k, v in provenance.items() if isinstance(v, str | int | float)}
+    shown = {k.replace("_", " "): str(v) for k, v in provenance.items() if isinstance(v, str | int | float)}
+    return {f"dataset: {words}": value for words, value in shown.items()}
 
 
 # ---------------------------------------------------------------- scores in plain words
@@ -201,7 +202,7 @@ def verdicts(scores: Scores) -> list[Verdict]:
         side = "above" if gain > 0 else "below"
         size = in_words(scores.images.sizes_px) if scores.images else ""
         where = f"held-out frames ({size})" if size else "held-out frames"
-        sentence = f"On flame pixels of {where}, {abs(gain):.1f} dB {side} the fire-free plate alone."
+        sentence = f"On flame pixels of {where}, {abs(gain):.1f} dB {side} the fire-free background alone."
         out.append(Verdict(gain > 0, sentence))
     return out
 

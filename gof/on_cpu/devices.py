@@ -48,7 +48,7 @@ class CpuForCuda(TorchFunctionMode):
 
 
 def on_cpu_device(device: Any) -> Any:
-    """Return a device, its name or its number as the CPU; everything else as it is."""
+    """Return a device, its name or its number as the CPU; everything else unchanged."""
     if isinstance(device, bool):
         return device
     if isinstance(device, int):
@@ -176,7 +176,7 @@ def replace_cuda(mode: CpuForCuda) -> None:
 
 
 def _load_in_this_process() -> None:
-    """Load in this process: a loader's 16 would fight over two cores, and a thread that pins pages asks for CUDA."""
+    """Load in this process: a loader's 16 would fight over two cores, and a thread that pins pages needs CUDA."""
     original = DataLoader.__init__
 
     def __init__(self, dataset, batch_size=1, shuffle=None, sampler=None, batch_sampler=None, num_workers=0, **options):

@@ -1,4 +1,4 @@
-"""Run somebody's script in this process, with stand-ins for what needs CUDA."""
+"""Run another method's script in this process, with stand-ins for what needs CUDA."""
 
 from __future__ import annotations
 
@@ -58,7 +58,7 @@ def export(method: Method, script: Path, model: Path, dataset: Path, out: Path) 
 def _begin(method: Method, script: Path, mode: CpuForCuda) -> None:
     if not script.is_file():
         raise GofError(f"{script}: no such script; give the path of a script in your checkout")
-    os.environ.setdefault("MPLBACKEND", "agg")  # matplotlib asks tkinter for a window otherwise, and it may be unused
+    os.environ.setdefault("MPLBACKEND", "agg")  # otherwise matplotlib opens a window by tkinter, which may be missing
     replace_cuda(mode)
     prepare(method)
     sys.path.insert(0, str(script.parent.resolve()))  # as Python does; `gof.host.processes` has left the place empty

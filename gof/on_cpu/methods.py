@@ -75,7 +75,7 @@ class Method:
     """One method.
 
     Attributes:
-        title, licence: of whose code.   repository: on GitHub.   commit: the one that is known to run.
+        title, licence: of the method's code.   repository: on GitHub.   commit: a commit that is known to run.
         modules: stand-ins by the names that the code imports.   unused: modules it imports and does not use.
         repairs: done before the script begins.   gsplat: its rasteriser is gsplat's.
         export: (output folder, dataset, file) writes a trajectory and says what; None: its own files are imported.

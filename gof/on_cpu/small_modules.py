@@ -99,7 +99,7 @@ class Nothing:
         self._name = name
 
     def __call__(self, *args, **kwargs):
-        raise MissingDependencyError(f"{self._name} is not made here: docs/baselines.md says which settings do without")
+        raise MissingDependencyError(f"{self._name} has no stand-in; docs/baselines.md lists settings without it")
 
     def __getattr__(self, name):
         if name.startswith("__"):

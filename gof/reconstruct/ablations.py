@@ -39,14 +39,14 @@ def change_times(ablation: Ablation, times_s: np.ndarray, frame_time_s: float) -
 
 
 def change_plates(ablation: Ablation, observation: Observation) -> Observation:
-    """What the flame is drawn over when the optimisation starts."""
+    """Return the observation with the plates from which the optimisation starts."""
     if ablation != "joint-opt":
         return observation
     return replace(observation, plate=observation.image.mean(0))
 
 
 def change_seeds(ablation: Ablation, seeds: TransientGaussians, rng: np.random.Generator) -> TransientGaussians:
-    """The Gaussians that the optimisation starts from."""
+    """Return the Gaussians that the optimisation starts from."""
     if ablation != "rand-flow":
         return seeds
     direction = rng.normal(size=seeds.velocity.shape)
@@ -56,7 +56,7 @@ def change_seeds(ablation: Ablation, seeds: TransientGaussians, rng: np.random.G
 
 
 def change_gas(ablation: Ablation, kept: TransientGaussians, told: TransientGaussians) -> TransientGaussians:
-    """The result: with the gas' velocity of its seeds (`kept`), or with what the flow field says (`told`)."""
+    """Return the result: with the gas' velocity of its seeds (`kept`), or with that of the flow field (`told`)."""
     return kept if ablation == "rand-flow" else told
 
 

@@ -37,7 +37,7 @@ LEAST = (
 
 @dataclass(frozen=True)
 class BackgroundOptions:
-    """How the still scene is reconstructed.
+    """Settings of the reconstruction of the still scene.
 
     Attributes:
         steps: of the optimisation, one plate each; the paper's are 10 000.
@@ -118,11 +118,11 @@ def make_background(folder: Path, out: Path, options: BackgroundOptions) -> Tran
 def still_gaussians(
     dataset: Dataset, plates: Sequence[np.ndarray], options: BackgroundOptions, log: StageLog
 ) -> TransientGaussians:
-    """The still scene of a dataset: seeds at the depth of its plates, and their optimisation.
+    """Return the still scene of a dataset: seeds at the depth of its plates, and their optimisation.
 
     Args:
         dataset: at the size of the plates.   plates: C x (H, W, 3) display values.
-        options: `longest_side` is not looked at.   log: gets the stages "depth" and "background".
+        options: `longest_side` is ignored.   log: gets the stages "depth" and "background".
     Raises:
         GofError: see `plate_depths`.
     """

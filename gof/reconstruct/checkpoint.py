@@ -76,7 +76,7 @@ def load_checkpoint(path: Path, optimizer: Adam, resized: bool = False) -> int:
 
 
 def read_spent(path: Path) -> Spent | None:
-    """What a checkpoint has cost; None where there is none. Raises DataFormatError: it is damaged."""
+    """Return the cost of a checkpoint; None without a checkpoint. Raises DataFormatError: it is damaged."""
     if not path.exists():
         return None
     try:

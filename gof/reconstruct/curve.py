@@ -70,7 +70,7 @@ class CurveLog:
 
     @property
     def seconds(self) -> float:
-        """Of optimisation until now, in all runs."""
+        """Return the seconds of optimisation until now, in all runs."""
         return time.perf_counter() - self._start
 
     def add(self, step: int, score: Callable[[], HeldOutScores]) -> CurvePoint:

@@ -1,4 +1,4 @@
-"""Density control of the flame's Gaussians as in 3D Gaussian Splatting, which the paper leaves as it is.
+"""Density control of the flame's Gaussians as in 3D Gaussian Splatting, which the paper does not change.
 
 Every 100 steps those that the pictures pull hardest are cloned, or split where they are large, and those that are faint
 are pruned, later on also those that are wide. Constants are those of 3DGS in the authors' published code (`eccv-demo`);
@@ -30,7 +30,7 @@ MOST_GROWTH = 3  # times the seeds
 
 @dataclass
 class _Seen:
-    """What pictures said of each Gaussian since the last change, (N,).
+    """Statistics of each Gaussian over the pictures since the last change, (N,).
 
     Attributes:
         pull: sum of the gradients of its centre, in half picture sides (3DGS).   times: in how many pictures it was.
@@ -95,7 +95,7 @@ class DensityControl:
 def changed(
     old: TransientGaussians, seen: _Seen, most: int, extent: float, prune_wide: bool, seed: tuple[int, int]
 ) -> tuple[np.ndarray, TransientGaussians]:
-    """Rows of the Gaussians that stay, and those that come.
+    """Return the rows of the Gaussians that stay, and the new Gaussians.
 
     Args:
         most: there will be no more; who is pulled hardest comes first.   extent: m, of the cameras.

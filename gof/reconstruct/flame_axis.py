@@ -36,7 +36,7 @@ class Layers:
 
     @classmethod
     def across(cls, direction: np.ndarray, voxels: FlameVoxels) -> Layers:
-        """The layers that hold all voxels; direction (3,) of length 1."""
+        """Return the layers that hold all voxels; direction (3,) of length 1."""
         along = voxels.center @ direction / voxels.voxel_size
         along -= along.min()
         nearest = np.rint(along).astype(np.int64)

@@ -23,7 +23,7 @@ class FrameField:
         emission: (V,) >= 0, mean 1 over the frame's hull and 0 outside; all 0 where no flame is seen.
         light: how much the frame's flame shines for each unit of its emission, in a unit of the clip's own.
         light_velocity: (V, 3) world m/s, at which what shines is seen to move; 0 where it is not known.
-        velocity: (V, 3) world m/s, of the gas; that of the light where nobody knows better.
+        velocity: (V, 3) world m/s, of the gas; where that is not known, of the light.
         velocity_sd: (V,) m/s, standard deviation of each component of the gas' velocity; inf where nobody says how sure
             it is.
         known: (V,) bool, where the views say something of the velocity.
@@ -64,7 +64,7 @@ def seen_flow_field(
     longest_side: int,
     progress: Callable[..., None] | None = None,
 ) -> FlowField:
-    """What is seen to move: hull, emission by tomography, and the cameras' optical flows fused in 3D.
+    """Return the visible motion: hull, emission by tomography, and the cameras' optical flows fused in 3D.
 
     Args:
         longest_side: voxels along the longest side of the flame's box.

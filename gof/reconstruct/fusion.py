@@ -31,7 +31,7 @@ def back_projected_flow(jacobian: np.ndarray, flow: np.ndarray, forward: np.ndar
 def fuse_paper(
     jacobian: np.ndarray, flow: np.ndarray, valid: np.ndarray, forward: np.ndarray, tau0: float = 0.1
 ) -> np.ndarray:
-    """The paper's constraint u_i . F = |u_i|^2 with Tikhonov regularisation (eq. 5 to 7), made independent of units.
+    """Fuse by the paper's constraint u_i . F = |u_i|^2 with Tikhonov regularisation (eq. 5 to 7), free of units.
 
     As printed, tau^2 has the unit of velocity^4 while the matrix it regularises has velocity^2, so the result would
     change with the unit of length. The authors' published code adds tau itself, 0.1 of the mean |u_i|^2, and so does
@@ -90,7 +90,7 @@ def fuse_frame(
     fusion: str = "full",
     smooth_voxels: float = 3.0,
 ) -> tuple[np.ndarray, np.ndarray]:
-    """The 3D velocity of every voxel in one frame.
+    """Return the 3D velocity of every voxel in one frame.
 
     Args:
         flow: (C, H, W, 2) px/s, NaN where unknown.   mask: (C, H, W) bool.   emission: (V,) weights for the smoothing.

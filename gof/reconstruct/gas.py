@@ -1,8 +1,8 @@
-"""What the gas does where the pictures have brought the Gaussians.
+"""The velocity of the gas at the places to which the optimisation has moved the Gaussians.
 
-A seed is told of the gas at its voxel and frame. The optimisation then moves it with the light, by about a voxel and a
-fifth of a frame: enough to leave the slow outer layer for the fast core. So the flow field is asked once more, along
-the way that the Gaussian goes while it shines.
+A seed gets the gas' velocity at its voxel and frame. The optimisation then moves it with the light, by a voxel and a
+fifth of a frame: enough to leave the slow outer layer for the fast core. So the flow field is read once more, along
+the path of the Gaussian while it shines.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ NOTHING = 1e-6  # share of known voxels and frames around a place below which no
 
 
 def told_of_gas(gaussians: TransientGaussians, field: FlowField) -> TransientGaussians:
-    """The same Gaussians with the gas' velocity, and its standard deviation, in the mean over their lives.
+    """Return the same Gaussians with the gas' velocity, and its standard deviation, in the mean over their lives.
 
     A life is weighted by its temporal opacity: two nodes of Gauss and Hermite, one `t_sigma` before `t_mu` and one
     after, or where the clip begins and ends.
@@ -48,9 +48,9 @@ def told_of_gas(gaussians: TransientGaussians, field: FlowField) -> TransientGau
 
 
 def with_gas_of(field: FlowField, other: FlowField) -> FlowField:
-    """The field with the gas of another of the same frames, which may stand on other voxels.
+    """Return the field with the gas of another of the same frames, which may stand on other voxels.
 
-    A voxel around which the other knows nothing moves as its light does, and nobody says how sure that is.
+    A voxel around which the other has no velocity moves with its light, and its uncertainty is infinite.
     """
     frames = []
     for frame in field.frames:

@@ -30,7 +30,7 @@ class HeldOut:
     """The pictures of a dataset's test frames, read once.
 
     A picture's flame is the dataset's own mask; where there is none (a real capture), the motion mask of that picture.
-    Pixels of the sync board do not count. Novel views are scored of whole scenes only: nobody gives them a plate.
+    Pixels of the sync board do not count. Novel views are scored for whole scenes only, because they have no plate.
     """
 
     def __init__(self, dataset: Dataset, static: Sequence[np.ndarray], near: float):

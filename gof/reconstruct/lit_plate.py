@@ -62,7 +62,7 @@ def often(free: np.ndarray) -> np.ndarray:
 
 
 def lit_plate(static: np.ndarray, images: np.ndarray, masks: np.ndarray) -> np.ndarray:
-    """The view without flame but with its light: the temporal median of what is not flame.
+    """Return the view without flame but with its light: the temporal median of what is not flame.
 
     Args:
         static: (H, W, 3) the fire-free plate.   images: (F, H, W, 3), same range.

@@ -1,4 +1,4 @@
-"""How much memory a reconstruction takes, known before it starts."""
+"""The memory that a reconstruction takes, predicted before it starts."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ ADDRESSES = 0.8e9  # what libraries map and never touch, which `ulimit -v` count
 
 
 def needed_bytes(training_pixels: int, frames: int, gaussians: int, voxels: int, window: float = 1.0) -> float:
-    """What `gof reconstruct` takes of memory at its peak, within about 15 %.
+    """Predict the peak memory of `gof reconstruct`, within about 15 %.
 
     Args:
         training_pixels: of all training pictures together, at the size that is reconstructed.
@@ -34,7 +34,7 @@ def needed_bytes(training_pixels: int, frames: int, gaussians: int, voxels: int,
 
 
 def needed_for(dataset: Dataset, gaussians: int, voxels: int, window: float = 1.0) -> float:
-    """The same for a dataset, at the size that is reconstructed."""
+    """Return the same for a dataset, at the size that is reconstructed."""
     frames = len(dataset.train_frames)
     pixels = frames * sum(camera.width * camera.height for camera in dataset.cameras)
     return needed_bytes(pixels, frames, gaussians, voxels, window)

@@ -51,7 +51,7 @@ class Rates:
         lengths: what `position` and `velocity` are counted in, so that a scene's size does not matter either: voxels,
             or the cameras' extent (`cameras_extent`).
         position: at the first and the last step, exponential between.   velocity: per frame time.
-        color, plate: display values; a plate's is 0 where plates stay as they are.
+        color, plate: display values; a plate's is 0 where plates do not change.
         t_mu, log_t_sigma, scale, rotation, opacity: of the raw parameters (`gof.reconstruct.parameters`).
         beta_2: how slowly Adam forgets the size of gradients.
         held: steps after which a Gaussian's other rates fall, too, exponentially to `LAST_SHARE` at the last step; at
@@ -77,7 +77,7 @@ class Method:
     """The choices in which ours and the paper's method differ; what each is worth is in notebook/choices.md.
 
     Attributes:
-        scene: what the flame is drawn in where nobody says otherwise.
+        scene: the default scene behind the flame.
         lit_plates: plates in the fire's light (`lit_plate`), not in the dark.
         faint_flame: flame as faint as what the fire throws on its surroundings is found, too, above `lit_plates`.
         flow_of_light: optical flow of the light above the plates, to both neighbouring frames and back again, without
@@ -203,7 +203,7 @@ def cameras_extent(cameras: Sequence[Camera]) -> float:
 
 
 def rates_in_voxels(rates: Rates, cameras: Sequence[Camera], voxel_size: float) -> Rates:
-    """The same rates with their lengths in voxels; voxel_size in m, > 0."""
+    """Return the same rates with their lengths in voxels; voxel_size in m, > 0."""
     if rates.lengths == "voxels":
         return rates
     extent = cameras_extent(cameras) / voxel_size

@@ -1,4 +1,4 @@
-"""What the cameras saw: pictures, flame masks, light above the plates, and dense optical flow on the dataset clock.
+"""Observations: pictures, flame masks, light above the plates, and dense optical flow on the dataset clock.
 
 Held-out frames are never read here, and no flow uses one (paper, "Results": every 8th frame is held out).
 """
@@ -28,7 +28,7 @@ GROWN_BY = np.ones((5, 5), np.uint8)
 
 @dataclass(frozen=True)
 class Observation:
-    """What C cameras saw in the F training frames, pictures of H x W pixels.
+    """The observation of C cameras in the F training frames, pictures of H x W pixels.
 
     Attributes:
         cameras: C.
@@ -180,7 +180,7 @@ def flow_masks(flow: np.ndarray, frame_time_s: float) -> tuple[np.ndarray, np.nd
 
 
 class _View(NamedTuple):
-    """What one camera saw; shapes as in `Observation`, without C."""
+    """The observation of one camera; shapes as in `Observation`, without C."""
 
     times_s: np.ndarray  # (T,) of all frames of the dataset
     image: np.ndarray

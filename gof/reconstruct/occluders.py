@@ -1,9 +1,9 @@
-"""Still things between a camera and the flame, told by the other cameras: a gap in this one's flame that they fill.
+"""Still things between a camera and the flame, found by the other cameras: a gap in this one's flame that they fill.
 
 A camera that never sees flame in a place says that no flame is there, and its word ends the hull (`voxels.carve`).
 Behind a post it says so wrongly. The flame that all other cameras agree on, rounded (`tomography`), shines through
 where the post stands; the camera itself sees flame on both sides of it and never in it. Two flames side by side look
-like that too, but to the other cameras as well: where one of them sees flame, a gap and flame, nobody is believed.
+like that too, but to the other cameras as well: where one of them sees flame, a gap and flame, the answer is left open.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ MISSING = 0.1  # of what the others say: where a camera sees less, its view is b
 SOLID = 0.85  # of a row between its first and last flame
 LEAST = 2.0  # voxels, square root of the area of what is blocked
 EDGE = 1.5  # voxels: so far around, the lights of flame and gap are blurred together
-PASSES = 2  # in the second one, nobody who is blocked is believed
+PASSES = 2  # the second pass leaves out cameras that are blocked
 
 
 def blocked_views(cameras: list[Camera], masks: np.ndarray, intensity: np.ndarray) -> np.ndarray:

@@ -96,7 +96,7 @@ def _rgb(picture: np.ndarray) -> np.ndarray:
 
 
 def flow_method(name: FlowName, weights: Path | None = None) -> Flow:
-    """The method of that name; weights is the folder of MEMFOF's checkpoint.
+    """Return the method of that name; weights is the folder of MEMFOF's checkpoint.
 
     Raises:
         GofError: it cannot run here, and what is missing.

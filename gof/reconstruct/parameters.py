@@ -1,6 +1,6 @@
 """Transient Gaussians as numbers without bounds, which an optimiser may move freely, and back.
 
-Raw parameters: "x0", "velocity" as they are; "t_mu" after the clip's start; "log_t_sigma"; the logits "opacity" and
+Raw parameters: "x0", "velocity" unchanged; "t_mu" after the clip's start; "log_t_sigma"; the logits "opacity" and
 "scale" (between 0.1 and 3 voxels); "rotation", a quaternion of any length; and of the colour either "color", as it is,
 or its logits, "color_logit".
 
@@ -71,7 +71,7 @@ def per_gaussian(raw: Raw) -> list[str]:
 
 
 def from_raw(raw: Raw, voxel_size: float, start_s: float) -> TransientGaussians:
-    """The Gaussians of raw parameters, all of them dynamic; args as `to_raw`."""
+    """Return the Gaussians of raw parameters, all of them dynamic; args as `to_raw`."""
     return TransientGaussians(
         position=rows(raw["x0"]),
         velocity=rows(raw["velocity"]),
@@ -86,7 +86,7 @@ def from_raw(raw: Raw, voxel_size: float, start_s: float) -> TransientGaussians:
 
 
 def splats(raw: Raw, voxel_size: float, time_s: float, camera: Camera) -> Splats:
-    """What a camera sees in a frame whose first line it reads at `time_s` after the clip's start; differentiable."""
+    """Return the splats of a frame whose first line is read at `time_s` after the clip's start; differentiable."""
     position, opacity = _state(raw, voxel_size, time_s, camera)
     color = _color(raw)
     return Splats(position, raw["rotation"], _scale(raw, voxel_size), opacity, [color.x, color.y, color.z])

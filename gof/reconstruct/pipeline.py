@@ -93,7 +93,7 @@ def _require_motion(dataset: Dataset) -> None:
 def _require_possible(run: stages.Run, anyway: bool) -> None:
     """Say how long it will take and how much memory, and what is wrong or odd, before the time is spent.
 
-    Raises GofError: something is impossible, or the memory is not there, and nobody said to go on.
+    Raises GofError: an input is impossible or the memory too small, and `anyway` is not set.
     """
     settings, camera = run.settings, run.dataset.cameras[0]
     steps, gaussians = settings.iterations, settings.gaussians
@@ -118,7 +118,7 @@ def _require_possible(run: stages.Run, anyway: bool) -> None:
     )
     if len(run.dataset.cameras) == 1:
         print(
-            "one camera: depth is a guess; the flame is taken to stand over the world's origin, as deep as it is wide",
+            "one camera: depth is a guess; it is assumed to stand over the world's origin, and to be as deep as wide",
             file=sys.stderr,
         )
     found = sanity.find_faults(run.dataset)

@@ -1,4 +1,4 @@
-"""How much work a reconstruction does, and the time it takes."""
+"""Presets: the amount of work of a reconstruction, and its time."""
 
 from __future__ import annotations
 

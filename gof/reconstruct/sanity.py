@@ -128,7 +128,7 @@ def _clocks(dataset: Dataset) -> Iterator[Fault]:
         lines = camera.width if camera.readout in ("left", "right") else camera.height
         readout = camera.row_time_s * lines
         if camera.row_time_s < 0:
-            yield Fault(f"{name}: row_time_s is {camera.row_time_s:g} s; `readout` says the direction, no sign", True)
+            yield Fault(f"{name}: row_time_s is {camera.row_time_s:g} s; give its direction as `readout`", True)
         elif step > 0 and readout > READOUT[1] * step:
             yield Fault(
                 f"{name} would take {readout:.3g} s to read the {lines} lines of a frame that lasts {step:.3g} s "
@@ -297,7 +297,7 @@ def _covered(views: list[_View], frame: int) -> np.ndarray:
         rows, columns = np.nonzero(mask)
         grid[2, rows // CELL, columns // CELL] = True
         judged = grid[0] & grid[2]
-        if mask.any():  # what it sees of a flame that nobody else could see is not explained either
+        if mask.any():  # flame that no other camera can see is not explained either
             shares[c] = (judged & grid[1]).sum() / max(judged.sum(), 1)
     return shares
 
@@ -329,7 +329,7 @@ def _light(views: list[_View], middle: np.ndarray) -> Iterator[Fault]:
 
 
 def _agreement(view: _View, others: list[_View], middle: np.ndarray) -> tuple[float, float]:
-    """The best correlations with another camera, of light over the planes and of its change; 1 where none can be told.
+    """The best correlations with another camera, of light over the planes and of its change; 1 where there is none.
 
     The best, because in a pair with a wrong camera both are wrong.
     """

@@ -1,4 +1,4 @@
-"""What a reconstruction sees before any Gaussian: computed in a run, and again later for whoever wants to show it."""
+"""The input of a reconstruction before any Gaussian: computed in a run, and again later to show it."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ Progress = Callable[..., None]  # progress(done, total)
 
 @dataclass(frozen=True)
 class Seen:
-    """What a run saw: the dataset at the size that was reconstructed, its observation and its flow field."""
+    """The input of a run: the dataset at the size that was reconstructed, its observation and its flow field."""
 
     dataset: Dataset
     observation: Observation
@@ -48,9 +48,9 @@ def observation_of(
 def flow_field_of(
     dataset: Dataset, settings: ReconstructionSettings, observation: Observation, progress: Progress | None = None
 ) -> FlowField:
-    """The flame's voxels in every frame and their velocities, corrected by the flow prior where it is used.
+    """Return the flame's voxels in every frame and their velocities, corrected by the flow prior where it is used.
 
-    The prior is asked on the voxels that it has learned from, whatever `settings.voxels` are: on finer ones its gas is
+    The prior works on the voxels that it was trained on, whatever `settings.voxels` are: on finer ones its gas is
     too slow, and on coarser ones it is hardly better than the mean of every height (notebook/accuracy.md).
     """
     method, learned = METHODS[settings.method], uses_flow_prior(settings)
@@ -68,14 +68,14 @@ def flow_field_of(
 
 
 def uses_flow_prior(settings: ReconstructionSettings) -> bool:
-    """Whether what was learned from other fires has a part in the velocities."""
+    """Return whether what was learned from other fires has a part in the velocities."""
     return settings.flow_prior and METHODS[settings.method].flow_prior
 
 
 def see_again(
     dataset: Dataset, folder: Path, flow_weights: Path | None = None, progress: Progress | None = None
 ) -> Seen:
-    """What the reconstruction in a folder saw, by its own settings. Nothing is written.
+    """Compute the input of the reconstruction in a folder again, by its own settings. Nothing is written.
 
     Args:
         dataset: as it was opened, at full size.

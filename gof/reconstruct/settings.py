@@ -22,7 +22,7 @@ Until = Literal["motion", "flow-field", "seeds", "result"]  # the stages that a 
 
 @dataclass(frozen=True)
 class ReconstructionSettings:
-    """What identifies a reconstruction: with equal settings it may be resumed, with others it is another one.
+    """Settings that identify a reconstruction: only one with equal settings may be resumed.
 
     Attributes:
         dataset: which one, see `gof.dataset.Dataset.identity`.

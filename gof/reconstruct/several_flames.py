@@ -1,4 +1,4 @@
-"""Flames that burn side by side, told apart: each has an axis, a radius and a pace of its own.
+"""Separate flames that burn side by side: each has an axis, a radius and a pace of its own.
 
 Seen along the direction in which it moves, a flame is one bright spot, and two are two with a dark gap between them.
 What lies between two flames is not the core of anything.
@@ -21,7 +21,7 @@ SMOOTH = 1.5  # voxels, std-dev
 
 
 def several_flames(field: FlowField) -> np.ndarray:
-    """Which flame each voxel belongs to.
+    """Return the flame that each voxel belongs to.
 
     Returns:
         (V,) int from 0 on; all 0 where there is one flame, or nothing moves or shines.
@@ -38,13 +38,13 @@ def several_flames(field: FlowField) -> np.ndarray:
 
 
 def alone(field: FlowField, own: np.ndarray) -> FlowField:
-    """The field with no other light than that of some voxels (V,) bool."""
+    """Return the field with no other light than that of some voxels (V,) bool."""
     frames = [replace(frame, emission=np.where(own, frame.emission, 0)) for frame in field.frames]
     return replace(field, frames=tuple(frames))
 
 
 def _seen_along(field: FlowField, direction: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Where each voxel falls (V, 2) in the picture (H, W) of the clip's light, looked at along the direction."""
+    """Return each voxel's place (V, 2) in the picture (H, W) of the clip's light, looked at along the direction."""
     across = np.linalg.svd(direction[None])[2][1:]
     place = field.voxels.center @ across.T / field.voxels.voxel_size
     margin = round(4 * SMOOTH)

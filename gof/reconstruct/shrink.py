@@ -41,7 +41,7 @@ class _Shrunk(Dataset):
 
 
 def shrink(dataset: Dataset, longest_side: int) -> Dataset:
-    """The dataset with pictures and cameras, those for novel views too, of at most `longest_side` pixels.
+    """Return the dataset with pictures and cameras, those for novel views too, of at most `longest_side` pixels.
 
     The same dataset when all its cameras' pictures fit already.
     """

@@ -99,7 +99,7 @@ def _depth_term(frame: Frame, disparity: Float, size: float) -> Float:
 
 @dataclass
 class _Pull:
-    """How hard pictures pull at each Gaussian's centre: sum of gradients (N,), and in how many pictures it was (N,)."""
+    """Gradients at each Gaussian's centre: their sum (N,), and the number of pictures that show it (N,)."""
 
     total: np.ndarray
     seen: np.ndarray

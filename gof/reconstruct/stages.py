@@ -42,7 +42,7 @@ from gof.reconstruct.windows import Windows
 
 @dataclass(frozen=True)
 class Run:
-    """What all stages work with: the dataset at the size that is reconstructed, and where things go."""
+    """Data that all stages share: the dataset at the size that is reconstructed, and where things go."""
 
     dataset: Dataset
     settings: ReconstructionSettings
@@ -53,7 +53,7 @@ class Run:
 
     @property
     def source(self) -> str:
-        """What the files say of where they come from."""
+        """Return the record of origin that the files get."""
         return f"gof reconstruct {self.dataset.description.name}"
 
 
@@ -75,7 +75,7 @@ class Reconstruction:
 
     @classmethod
     def find(cls, folder: Path) -> Reconstruction | None:
-        """The one that was finished in a folder before; None without one."""
+        """Return the finished reconstruction in a folder; None without one."""
         path = folder / "result.npz"
         if not (path.exists() and (folder / "result.ply").exists()):
             return None
@@ -97,7 +97,7 @@ def see_motion(run: Run) -> Observation:
 
 
 def _say_what_from(run: Run, observation: Observation) -> None:
-    """Which frames, and what that was learned elsewhere, everything that follows comes from."""
+    """Record the frames and the learned models that all later results are made from."""
     plates = [f"plates/{camera.name}.png" for camera in run.dataset.cameras]
     still = plates if run.settings.scene == "plates" else ["background.npz"]
     learned = ["flow_prior"] if uses_flow_prior(run.settings) else []
@@ -130,7 +130,7 @@ def still_steps(settings: ReconstructionSettings) -> int:
 
 
 def make_flow_field(run: Run, observation: Observation) -> FlowField:
-    """The flame's voxels in every frame and their velocities, corrected by the flow prior where it is used."""
+    """Return the flame's voxels in every frame and their velocities, corrected by the flow prior where it is used."""
     with run.log.measure("flow_field") as figures, progress_bar("flow field") as progress:
         field = flow_field_of(run.dataset, run.settings, observation, progress)
         stage_images.save_flow_field(run.out / "stages", field)
@@ -151,7 +151,7 @@ def make_seeds(
     field: FlowField,
     held_out: HeldOut,
 ) -> TransientGaussians:
-    """The Gaussians that the optimisation starts from; kept in OUT/seeds.npz."""
+    """Return the Gaussians that the optimisation starts from; kept in OUT/seeds.npz."""
     settings, method, dt = run.settings, run.method, run.dataset.frame_time_s
     rng = np.random.default_rng(settings.seed)
     with run.log.measure("seeds") as figures:

@@ -1,4 +1,4 @@
-"""What a flame burns in, as the optimisation draws it: a plate per camera behind it, or still Gaussians all around it.
+"""Surroundings of a flame in the optimisation: a plate per camera behind it, or still Gaussians all around it.
 
 The paper draws static and flame Gaussians in one pass. The still ones do not change meanwhile, so of each camera's view
 of them what is nearer than all of the flame, and what is farther, is drawn once; only what stands among the flame is
@@ -35,10 +35,10 @@ class Drawn(NamedTuple):
 
 
 class Surroundings(Protocol):
-    """What flame is drawn in; one picture at a time."""
+    """Surroundings of the flame; drawn one picture at a time."""
 
     def unknowns(self) -> dict[str, Any]:
-        """What the optimisation may move of them: raw parameters by name."""
+        """Return the raw parameters that the optimisation may change, by name."""
 
     def draw(self, flame: Splats, camera: int, near: float, unknowns: Any) -> Drawn:
         """The camera's view with the flame in it.
@@ -48,15 +48,15 @@ class Surroundings(Protocol):
         """
 
     def over(self, drawn: Drawn, camera: int, color: list[Float], unknowns: Any) -> list[Float] | None:
-        """What was drawn, over an even plate of this colour in place of its own: planes; differentiable.
+        """Return the drawn picture over an even plate of this colour in place of its own: planes; differentiable.
 
         None where what is behind the flame cannot be taken away.
         """
 
     def moved(self, camera: int, unknowns: Any) -> Any:
-        """How far they are from where they started in this camera's view; differentiable.
+        """Return the change of the surroundings since the start, in this camera's view; differentiable.
 
-        Mean square, display values; 0 where they stay as they are.
+        Mean square, display values; 0 where they do not change.
         """
 
     def result(self, flame: TransientGaussians, unknowns: Any) -> tuple[TransientGaussians, list[np.ndarray]]:

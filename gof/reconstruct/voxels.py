@@ -49,7 +49,7 @@ class FlameVoxels:
 
 
 def flame_box(cameras: list[Camera], masks: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """A world box (min (3,), max (3,)) that surely holds the flame.
+    """Return a world box (min (3,), max (3,)) that surely holds the flame.
 
     The rays through the masks' centroids meet (least squares) at the flame; the masks' extent at that depth gives its
     size. A single camera cannot say how far away its flame is: that stands over the world's origin (+z is up).

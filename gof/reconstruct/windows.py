@@ -30,12 +30,12 @@ class Windows:
 
     @classmethod
     def whole(cls, cameras: list[Camera]) -> Windows:
-        """The pictures themselves; all of one size."""
+        """Return the pictures themselves; all of one size."""
         return cls(np.zeros((len(cameras), 2), int), cameras[0].width, cameras[0].height)
 
     @classmethod
     def around(cls, voxels: FlameVoxels, cameras: list[Camera]) -> Windows:
-        """The smallest that hold the flame's hull with `ROOM`, and what SSIM looks at; pictures all of one size.
+        """Return the smallest that hold the flame's hull with `ROOM`, and what SSIM looks at; pictures all of one size.
 
         Whole pictures where a camera stands among the voxels or before some of them.
         """
@@ -54,7 +54,7 @@ class Windows:
         return cls(np.minimum(low, size - (width, height)), int(width), int(height))
 
     def cut(self, camera: int, picture: np.ndarray) -> np.ndarray:
-        """The part (height, width, ...) of a camera's picture (H, W, ...); a view."""
+        """Return the part (height, width, ...) of a camera's picture (H, W, ...); a view."""
         x, y = self.corner[camera]
         return picture[y : y + self.height, x : x + self.width]
 

@@ -16,7 +16,7 @@ from gof.render.blend import as_plane
 
 @dataclass(frozen=True)
 class _Part:
-    """What a step moves of some parameters: `gof.render.native.adam.Rows`, and their values, whose gradients count."""
+    """Rows that a step moves: `gof.render.native.adam.Rows`, and their values, whose gradients count."""
 
     rows: Any
     values: dict[str, Any]
@@ -54,7 +54,7 @@ class Adam(opt.Adam):
             ValueError: `mask_updates` is off.
         """
         if not self.mask_updates:
-            raise ValueError("only: rows that are left out stay as they are, which needs mask_updates")
+            raise ValueError("only: rows that are left out must not change, which needs mask_updates")
         if kernels().name != "native":
             index = dr.empty(UInt, len(rows))  # in Dr.Jit's own memory, see `floats`
             index.numpy()[:] = rows
@@ -109,7 +109,7 @@ class Adam(opt.Adam):
         self.state[key] = value, promoted, rate, (t, *moments, extra)
 
     def _in_memory(self, name: str) -> _Memory:
-        """A parameter's memory, and from now on nobody else's."""
+        """Return the memory of a parameter, which from now on is its own alone."""
         value, promoted, rate, (t, *moments, extra) = self.state[name]
         kept = self._memory.get(name)
         if kept is None or any(a is not b for a, b in zip(kept.arrays, (value, *moments), strict=True)):
@@ -151,7 +151,7 @@ def _columns(x) -> list[Float]:
 
 
 def _is_nothing(gradient: Float) -> bool:
-    """Whether nothing was differentiated with respect to a column."""
+    """Return whether nothing was differentiated with respect to a column."""
     return gradient.state == dr.VarState.Literal and float(gradient[0]) == 0
 
 

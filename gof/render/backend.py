@@ -65,7 +65,7 @@ def _obstacle_to_llvm(said: str) -> str:
 
 
 def _fault_of_library(path: str) -> str | None:
-    """What is wrong with a shared library that should be LLVM's; None: nothing that can be seen."""
+    """Return the fault of a shared library that should be LLVM's; None where no fault is visible."""
     if not Path(path).exists():
         return "does not exist"
     if Path(path).is_dir():
@@ -100,7 +100,7 @@ _as_many_threads_as_asked()
 
 @dataclass(frozen=True)
 class Kernels:
-    """Which kernels sort, bin and blend ("native" or "drjit"), and why these."""
+    """The kernels that sort, bin and blend ("native" or "drjit"), and the reason."""
 
     name: str
     why: str
@@ -195,7 +195,7 @@ def frozen(function):
 
 
 def opaque(value: float) -> Float:
-    """A scalar that the kernels read from memory, so that a new value does not compile a new kernel."""
+    """Return a scalar that the kernels read from memory, so that a new value does not compile a new kernel."""
     return dr.opaque(Float, float(value))
 
 

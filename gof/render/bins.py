@@ -1,4 +1,4 @@
-"""Which Gaussians touch which 4x4 pixel block, front to back.
+"""Lists of the Gaussians that touch each 4x4 pixel block, front to back.
 
 Everything is one flat data-parallel step (no per-Gaussian loop), so one Gaussian that covers the image costs the same
 per block as a million small ones:
@@ -29,7 +29,7 @@ PAIR_BUDGET = 1 << 24  # pairs binned at a time; a pair takes about 40 bytes whi
 
 @dataclass
 class Ellipses:
-    """Where some pixel centre may get alpha >= 1/255 (conservative), N entries each.
+    """Bounds of the pixels whose centre may get alpha >= 1/255 (conservative), N entries each.
 
     In the pixel row at dy from its mean, a Gaussian reaches it in mean_x + slope dy +- sqrt(half_width2 - shrink dy^2).
     """
@@ -44,7 +44,7 @@ class Ellipses:
 
 @dataclass
 class Footprints:
-    """Where N Gaussians may be seen, as records of 8 words in depth order.
+    """Bounds of N Gaussians in the picture, as records of 8 words in depth order.
 
     A record is mean_x, mean_y, slope, shrink, half_width2 (floats), first_row, end_row (integers), Gaussian; see
     `Ellipses`.
@@ -61,7 +61,7 @@ class Footprints:
 
 @dataclass
 class Lists:
-    """What the blend kernels read of a band: arrays only. Blocks are numbered from the band's first."""
+    """Arrays of a band that the blend kernels read. Blocks are numbered from the band's first."""
 
     gaussian: UInt  # (M,) index of the Gaussian, by block, front to back; one unused entry when there is no pair
     start: UInt  # (B,) first pair of block b
@@ -128,7 +128,7 @@ def plan_bands(f: Footprints, budget: int = PAIR_BUDGET) -> list[tuple[int, int]
 
 
 def as_bands(pairs: np.ndarray, budget: int) -> list[tuple[int, int]]:
-    """Rows with so many pairs each, as bands [first row, end) of at most `budget` pairs or of one row."""
+    """Return rows with so many pairs each, as bands [first row, end) of at most `budget` pairs or of one row."""
     bands, first, total = [], 0, 0
     for row, n in enumerate(pairs.tolist()):
         if row > first and total + n > budget:

@@ -20,7 +20,7 @@ PIXELS = [(i, j) for j in range(BLOCK) for i in range(BLOCK)]  # column, row ins
 
 
 class Trace:
-    """What one picture leaves behind for its caller; the gradient of the 2D means comes with the backward pass."""
+    """Results of one picture for its caller; the gradient of the 2D means comes with the backward pass."""
 
     def __init__(self):
         self.pairs = 0  # (block, Gaussian) pairs

@@ -70,7 +70,7 @@ def rasterization(
         colors (C, H, W, D), alphas (C, H, W, 1), and an info with "means2d" and "radii" of (C, N, 2), or packed of
         (those drawn, 2) beside their "camera_ids" and "gaussian_ids".
     Raises:
-        DataFormatError: an argument asks for what is not drawn here.
+        DataFormatError: an argument needs something that is not drawn here.
     """
     _require_defaults(
         distributed=(distributed, False),

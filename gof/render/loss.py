@@ -24,7 +24,7 @@ ALIGN = 16  # floats; a blur along rows shortens a strip by this at both ends, s
 
 @dataclass(frozen=True)
 class Strip:
-    """Where the pixels of an image lie in a strip."""
+    """Places of an image's pixels in a strip."""
 
     height: int
     width: int
@@ -44,7 +44,7 @@ class Strip:
         return self.channels * (self.height + REACH) * self.row + 2 * self.margin
 
     def fill(self, image: np.ndarray) -> Float:
-        """A strip of an (H, W, D) image."""
+        """Return a strip of an (H, W, D) image."""
         strip = np.zeros(self.size, np.float32)
         body = strip[self.margin : self.size - self.margin].reshape(self.channels, self.height + REACH, self.row)
         body[:, : self.height, : self.width] = image.transpose(2, 0, 1)
@@ -58,7 +58,7 @@ class Strip:
 
 @cache
 def _even_weight(strip: Strip) -> Float:
-    """The weight that all unmasked targets of a size share."""
+    """Return the weight that all unmasked targets of a size share."""
     return _weight(strip, np.ones((strip.height, strip.width)))
 
 
@@ -94,7 +94,7 @@ class Target:
 
 
 class _Strips:
-    """What the Dr.Jit kernels read of a target."""
+    """Data of a target that the Dr.Jit kernels read."""
 
     def __init__(self, image: np.ndarray, mask: np.ndarray | None):
         self.strip = Strip(*image.shape)
@@ -183,17 +183,17 @@ def _ssim(mu_x, square_x, product, mu_y, square_y) -> tuple[Float, list[Float]]:
 
 
 def _row_neighbours(strip: Float) -> list[Float]:
-    """The 11 pixels around each place of a strip that is shorter by ALIGN at both ends."""
+    """Return the 11 pixels around each place of a strip that is shorter by ALIGN at both ends."""
     return [shifted(strip, ALIGN - REACH + k, len(strip) - 2 * ALIGN) for k in range(2 * REACH + 1)]
 
 
 def _column_neighbours(strip: Float, row: int) -> list[Float]:
-    """The 11 pixels above and below each place of a strip that is shorter by REACH rows at both ends."""
+    """Return the 11 pixels above and below each place of a strip that is shorter by REACH rows at both ends."""
     return [shifted(strip, k * row, len(strip) - 2 * REACH * row) for k in range(2 * REACH + 1)]
 
 
 def _inner(strip: Float, row: int, rows_blurred: bool = False) -> Float:
-    """A strip cut to what is left of it after a blur along rows (unless that is done) and along columns."""
+    """Return a strip cut to what is left of it after a blur along rows (unless that is done) and along columns."""
     cut = REACH * row + (0 if rows_blurred else ALIGN)
     return shifted(strip, cut, len(strip) - 2 * cut)
 

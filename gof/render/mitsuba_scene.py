@@ -28,7 +28,7 @@ def _mitsuba():
 
 
 def ellipsoids(gaussians: TransientGaussians, time_s: float, unit_m: float = 1.0) -> dict:
-    """A `mi.load_dict` entry: the Gaussians at a time. Plain colours become harmonics of degree 0.
+    """Return a `mi.load_dict` entry: the Gaussians at a time. Plain colours become harmonics of degree 0.
 
     Args:
         unit_m: metres per scene unit. The integrator steps 1e-4 units past a shell before it looks for the next one,
@@ -59,7 +59,7 @@ def ellipsoids(gaussians: TransientGaussians, time_s: float, unit_m: float = 1.0
 
 
 def sensor(camera: Camera, spp: int = 16, filter_sigma: float = DILATION_SIGMA_PX, unit_m: float = 1.0) -> dict:
-    """A `mi.load_dict` entry for a pinhole camera with square pixels.
+    """Return a `mi.load_dict` entry for a pinhole camera with square pixels.
 
     Args:
         filter_sigma: px of a Gaussian pixel filter, 0 = box.
@@ -91,7 +91,7 @@ def sensor(camera: Camera, spp: int = 16, filter_sigma: float = DILATION_SIGMA_P
 def scene(
     gaussians: TransientGaussians, camera: Camera, time_s: float, spp: int = 16, filter_sigma: float = DILATION_SIGMA_PX
 ):
-    """A loaded Mitsuba scene of the Gaussians alone, colours taken as they are (no sRGB conversion).
+    """Return a loaded Mitsuba scene of the Gaussians alone, colours unchanged (no sRGB conversion).
 
     The scene's unit is the geometric mean of the Gaussians' standard deviations; see `ellipsoids`.
     """

@@ -22,7 +22,7 @@ MIN_OPACITY = 1e-20  # below: log2 is replaced by a constant, gradient 0
 
 @dataclass(frozen=True)
 class ProjectionOptions:
-    """How Gaussians become image Gaussians.
+    """Settings of the projection of Gaussians into a picture.
 
     Args:
         near, far: m, near > 0; centres at or outside these depths are not drawn and get gradient 0.
@@ -88,7 +88,7 @@ def rotation_columns(q: Array4f) -> tuple[Array3f, Array3f, Array3f]:
 
 
 def camera_axes(camera: Camera, pose: list[Float] | None = None) -> tuple[list[Array3f], list[Float]]:
-    """Rows of the world-to-camera rotation, and its translation; `pose` (row-major 3x4) replaces the camera's."""
+    """Return rows of the world-to-camera rotation, and its translation; `pose` (row-major 3x4) replaces its own."""
     w = [opaque(v) for v in camera.world_to_camera[:3].reshape(-1)] if pose is None else pose
     return [Array3f(*w[4 * i : 4 * i + 3]) for i in range(3)], [w[3], w[7], w[11]]
 
@@ -170,7 +170,7 @@ def _project_axes(row_x: Array3f, row_y: Array3f, rotation: Array4f, size: list[
 def _project_covariance(
     row_x: Array3f, row_y: Array3f, covariance: list[Float], inv_z2: Float, limit2: Float
 ) -> tuple[Float, ...]:
-    """The same of a covariance in the world, whose trace over depth^2 is held at `limit2`."""
+    """Return the same of a covariance in the world, whose trace over depth^2 is held at `limit2`."""
     trace = dr.maximum(covariance[0] + covariance[3] + covariance[5], 1e-30)
     xx, xy, xz, yy, yz, zz = (v * dr.minimum(inv_z2, limit2 / trace) for v in covariance)
     along_x, along_y = (

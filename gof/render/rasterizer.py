@@ -56,7 +56,7 @@ class Frame:
 
     @property
     def mean2d_absgrad(self) -> Array2f | None:
-        """(N,) sum over pixels of |dL/d(mean2d)| of each, after `dr.backward`; None before, or if not asked for."""
+        """(N,) sum over pixels of |dL/d(mean2d)| of each, after `dr.backward`; None before, or without `absgrad`."""
         return None if self.trace.mean_absgrad is None else Array2f(*self.trace.mean_absgrad)
 
 
@@ -214,7 +214,7 @@ def splats_at(gaussians: TransientGaussians, camera: Camera, time_s: float, *, s
 def render(
     gaussians: TransientGaussians, camera: Camera, time_s: float, background=None, *, shutter: str = "exact", **options
 ) -> dict[str, np.ndarray]:
-    """A picture of a reconstruction at a time, as numpy arrays, without gradients.
+    """Return a picture of a reconstruction at a time, as numpy arrays, without gradients.
 
     Args:
         gaussians: N Gaussians with plain colours or spherical harmonics.

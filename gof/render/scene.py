@@ -1,4 +1,4 @@
-"""What is drawn: activated Gaussians as Dr.Jit arrays, and their state at a time."""
+"""The scene that is drawn: activated Gaussians as Dr.Jit arrays, and their state at a time."""
 
 from __future__ import annotations
 

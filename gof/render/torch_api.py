@@ -35,7 +35,7 @@ RENDER_MODES = {
 
 
 class Info(dict):
-    """What is known of a drawing; asking for another entry is an error that says what there is."""
+    """Outputs of a drawing by name; an unknown name is an error that lists the names."""
 
     def __missing__(self, key):
         raise DataFormatError(f"info['{key}'] is not made here; of a drawing there is {sorted(self)}")
@@ -193,7 +193,7 @@ def rasterize(
 
 
 def _whole(name: str, value) -> int:
-    """A side of a picture, also of a tensor or an array that holds one whole number."""
+    """Return a side of a picture, also of a tensor or an array that holds one whole number."""
     try:
         number = index(value)
     except TypeError as e:
@@ -219,7 +219,7 @@ def _draw_nothing(cameras: int, options: _Options, channels: int, backgrounds, d
 
 @dataclass(frozen=True)
 class _Options:
-    """What does not differ between the cameras of a call. depth_mode: None, "sum" or "mean"; drawing: options of
+    """Options that all cameras of a call share. depth_mode: None, "sum" or "mean"; drawing: options of
     `gof.render.render_splats`."""
 
     width: int

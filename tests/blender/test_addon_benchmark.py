@@ -128,7 +128,7 @@ def test_what_cannot_be_made_is_refused_with_a_remedy(tmp_path):
     assert "choose a spec file" in found["no file"]
     assert "broken.json: not valid JSON" in found["broken"]
     assert (
-        "GB of memory, this machine has 8 GB, of which 90 % are counted on; lower domain.resolution from 640 to"
+        "GB of memory, this machine has 8 GB, of which 90 % may be used; lower domain.resolution from 640 to"
         in found["huge"]
     )
     assert "press Bake & Render" in found["log"]

@@ -180,7 +180,7 @@ def test_truncated(tmp_path, suffix, keep):
         (b"element vertex 40", b"element vertex -3", "line 7: 'element vertex -3' is no line"),
         (b"property float vx", b"property float ux", r"\['vx'\] are missing"),
         (b"property float vx", b"property float vy", "a second property 'vy'"),
-        (b"property float vx", b"property list uchar int vx", "goes on behind the end of the file"),
+        (b"property float vx", b"property list uchar int vx", "continues beyond the end of the file"),
     ],
 )
 def test_broken_ply(tmp_path, old, new, message):

@@ -131,7 +131,7 @@ def test_a_board_of_ones_own_is_taken_by_its_file_and_refused_where_it_is_not(tm
     own = film(tmp_path / "own", "moved", 80.2e6, template=BoardTemplate.load(tmp_path / "moved.json"))
     sync = ["capture", "sync", *own, "--out", str(out), "--no-report"]
     assert gof(sync) == 1
-    assert "which board it is cannot be told" in capsys.readouterr().err
+    assert "which board it belongs to" in capsys.readouterr().err
     assert gof([*sync, "--board", str(tmp_path / "moved.json")]) == 0
     np.testing.assert_allclose(start_times_us(out), [80.2e6, 80.2e6 + LATER_US], atol=8)
 

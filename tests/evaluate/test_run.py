@@ -85,7 +85,7 @@ def test_command_line(flame, capsys):
         == 0
     )
     printed = capsys.readouterr().out
-    assert "CosSim" in printed and "trivial: constant" in printed and "plate" in printed
+    assert "CosSim" in printed and "trivial: constant" in printed and "background alone" in printed
     scores = Scores.read(out / "scores.json")
     assert scores == Scores.read(extra)
     assert {"zero", "random", "constant"} <= set(scores.trivial_baselines) and scores.dve.l2 < 0.02

@@ -79,7 +79,7 @@ def test_several_cameras_have_no_use_for_the_height_of_a_flame(tmp_path, capsys)
         write_pictures(tmp_path / name, shown if name == "a" else [np.roll(p, 9, 1) for p in shown])
     videos = [str(tmp_path / "a"), str(tmp_path / "b")]
     assert cli.main(["ingest", *videos, "--times", "100", "--fov", "40", "--flame-height-m", "1"]) == 1
-    assert "--flame-height-m: for a single camera" in capsys.readouterr().err
+    assert "--flame-height-m: only for a single camera" in capsys.readouterr().err
 
 
 def test_a_clip_without_flame_is_named(tmp_path, capsys):

@@ -163,7 +163,7 @@ def tile(shown: Modalities, title: str) -> Tile:
 @pytest.mark.long
 def test_all_modalities_of_a_run_are_there_or_missing_by_name(shown):
     titles = [one.title for one in shown.tiles]
-    assert titles[:3] == ["picture (truth)", "plate", "flame mask"]
+    assert titles[:3] == ["picture (truth)", "background", "flame mask"]
     assert titles[-6:] == [
         "optical flow",
         "fused flow field",
@@ -172,14 +172,14 @@ def test_all_modalities_of_a_run_are_there_or_missing_by_name(shown):
         "velocity, result",
         "velocity, truth",
     ]
-    assert "--depth" in shown.missing["monocular depth"] and "--depth" in shown.missing["depth, gof depth"]
+    assert "--depth" in shown.missing["monocular depth"] and "--depth" in shown.missing["depth, this frame"]
 
 
 @pytest.mark.long
 def test_modalities_show_what_is_known_of_the_flame(made, shown):
     dataset = Dataset.open(made / "data")
     np.testing.assert_allclose(tile(shown, "picture (truth)").image / 255, dataset.image(1, 2), atol=0.003)
-    np.testing.assert_allclose(tile(shown, "plate").image / 255, dataset.static(1), atol=0.003)
+    np.testing.assert_allclose(tile(shown, "background").image / 255, dataset.static(1), atol=0.003)
     mask = tile(shown, "flame mask").outline
     lit = np.abs(dataset.image(1, 2) - dataset.static(1)).max(-1)
     assert mask.shape == (64, 32), "at the size that the run has seen"
@@ -352,7 +352,7 @@ def test_command_compares_what_was_scored_as_it_was_scored(two, capsys):
     assert gof([*asked, "--dataset", str(two / "data"), "--parts", "20,6,8,12", *files]) == 0
     assert "frame 1 at 0.1000 s, held out" in capsys.readouterr().out
     said = texts((two / "c.svg").read_text())
-    assert "scored" in said and "file" in said and "error: plate alone" in said
+    assert "scored" in said and "file" in said and "error: background alone" in said
     tiles = json.loads((two / "c.json").read_text())["tiles"]
     assert tiles[0][1]["note"] == tiles[0][2]["note"] and tiles[0][0]["boxes"] == [[20, 6, 8, 12]]
     board = json.loads((two / "board/scores.json").read_text())
@@ -383,7 +383,7 @@ def test_command_compare_refuses_by_name(two, words, said, capsys):
 def test_removal_shows_the_fire_alone_and_what_is_left_elsewhere(two):
     dataset = Dataset.open(two / "data")
     ((recorded, plate, fire, difference),) = fire_removal(dataset, 1, [0])
-    assert (recorded.title, plate.title) == ("filmed, cam_0", "plate"), "it has neither a spec nor a true velocity"
+    assert (recorded.title, plate.title) == ("filmed, cam_0", "background"), "it has neither a spec nor a true velocity"
     linear = srgb_to_linear(np.array([230, 128, 51]) / 255) - srgb_to_linear(np.full(3, 51 / 255))
     np.testing.assert_allclose(fire.image[10, 25] / 255, linear_to_srgb(linear), atol=0.003)
     assert fire.image[40, 10].max() == 0 and difference.note == "mean 0.0000 outside the flame"
@@ -395,7 +395,7 @@ def test_removal_with_a_result_shows_its_plate_too(made, capsys):
     asked = ["figure", "removal", str(made / "data"), "--result", str(made / "run"), "--camera", "cam_0"]
     assert gof([*asked, "--out", str(made / "r.svg"), "--json", str(made / "r.json")]) == 0
     titles = [one["title"] for one in json.loads((made / "r.json").read_text())["tiles"][0]]
-    assert titles[2] == "plate of the result" and titles[-1] == "difference"
+    assert titles[2] == "background of the result" and titles[-1] == "difference"
 
 
 # ---------------------------------------------------------------- on pages

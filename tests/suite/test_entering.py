@@ -194,7 +194,7 @@ def test_plates_of_larger_pictures_are_refused_with_a_remedy(work, tmp_path):
     shutil.rmtree(result / "plates")
     assert benchmark.main(entering) == 0, "nothing is left of what failed"
     entered = tmp_path / "entered" / SCENES[0]
-    with pytest.raises(DataFormatError, match="lies in the submission already"):
+    with pytest.raises(DataFormatError, match="is inside the submission already"):
         (entered / "scores.json").unlink()
         benchmark.main(["add", str(entered), str(tmp_path / "entered"), "--dataset", str(place)])
     assert (entered / "result.npz").is_file()
@@ -213,7 +213,7 @@ def test_a_reconstruction_where_the_run_would_go_is_left_alone(work, tmp_path, c
         (mine / name).write_text(f"my {name}")
     before = content(mine)
     assert main(["benchmark", "add", other, str(tmp_path / "out"), "--dataset", place]) == 1
-    assert f"{mine}: holds other things already" in capsys.readouterr().err
+    assert f"{mine}: already holds other files" in capsys.readouterr().err
     assert content(mine) == before
     assert main(["benchmark", "add", other, str(tmp_path / "out"), "--dataset", place, "--run", "seed_0"]) == 0
     assert {name: data for name, data in content(mine).items() if not name.startswith("seed_0/")} == before

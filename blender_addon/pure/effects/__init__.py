@@ -8,7 +8,7 @@ specs, and may have some of these:
     says that the effect dims what is behind it, so that frames cannot be rendered as the fire-free plate plus the
     fire's light.
 ``CHANGES_BAKE = True``
-    says that it asks something of our own solver, so that a fire that comes as grids cannot have it.
+    says that it needs our own solver, so that a fire that comes as grids cannot have it.
 ``BEYOND_VELOCITY = True``
     says that it moves the drawn light in a way that is not in the true velocity; ``dataset.json`` says so then.
 ``steps_per_frame(settings) -> int``
@@ -68,7 +68,7 @@ def absorbs_light(settings: Any) -> bool:
 
 
 def changes_bake(settings: Any) -> bool:
-    """Return whether the effect asks something of the solver."""
+    """Return whether the effect needs the solver."""
     return bool(_hook(settings, "CHANGES_BAKE"))
 
 

@@ -1,6 +1,6 @@
 """Auto exposure: all cameras are set, once for the clip, so that the flame's bright parts come out nearly white.
 
-Metered on the flame in the first picture of the first camera. EXR files keep the light as it is.
+Metered on the flame in the first picture of the first camera. EXR files keep the true light.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Bloom: the lens scatters a little of the light around what is bright. EXR files keep the light as it is.
+"""Bloom: the lens scatters a little of the light around what is bright. EXR files keep the true light.
 
 Away from a bright point the scattered light falls with the third power of the distance: between the squares and cubes
 that are measured on eyes (CIE's standard glare observer) and lenses.

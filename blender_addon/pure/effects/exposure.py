@@ -1,4 +1,4 @@
-"""Exposure differences: every camera has its own constant error and drift. EXR files keep the light as it is."""
+"""Exposure differences: every camera has its own constant error and drift. EXR files keep the true light."""
 
 from __future__ import annotations
 

@@ -1,6 +1,6 @@
 """Sensor noise: shot noise of the photons and read noise of the electronics, before the display transform.
 
-EXR files keep the light as it is. The noise of a picture depends on seed, camera and frame alone.
+EXR files keep the true light. The noise of a picture depends on seed, camera and frame alone.
 """
 
 from __future__ import annotations

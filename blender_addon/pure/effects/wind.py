@@ -1,6 +1,6 @@
 """Wind: a horizontal force that comes in gusts.
 
-Blender's field pushes only gas that carries fuel or soot: a flame leans, the air around it stays as it is.
+Blender's field pushes only gas that carries fuel or soot: a flame leans, the air around it does not move.
 """
 
 from __future__ import annotations

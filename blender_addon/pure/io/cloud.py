@@ -61,7 +61,7 @@ class GaussianCloud(TransientGaussians):
 
     @property
     def says_uncertainty(self) -> bool:
-        """Whether the standard deviation of any velocity is known."""
+        """Return whether the standard deviation of any velocity is known."""
         return bool(np.isfinite(self.velocity_sd).any())
 
 

@@ -2,7 +2,7 @@
 
 Everything in the file's scene that is visible in renders is brought in and moved so that the chosen empty becomes the
 origin of our world, with the empty's turn about Z undone and the file's unit scale applied: one of its units may be a
-centimetre. Objects stand still, as they are at the file's current frame. Its cameras, fluid domains and flows stay out,
+centimetre. Objects stand still, as at the file's current frame. Its cameras, fluid domains and flows stay out,
 and so does a fire that the add-on has put there. An effector of its fluids is an obstacle of our gas, seen or hidden.
 Of the disk only its pictures come in (`foreign`).
 """
@@ -58,7 +58,7 @@ def build(spec: SceneSpec, collection: bpy.types.Collection) -> None:
 def save(collection: bpy.types.Collection, path: Path) -> None:
     """Write the surroundings to a .blend of their own, which `build` reads as it read the user's.
 
-    It lies in the dataset, so that whoever has that can build the scene again.
+    It is in the dataset, so that the scene can be built again from that alone.
     """
     surroundings = bpy.data.scenes.new("Surroundings")
     surroundings.collection.children.link(collection)
@@ -129,7 +129,7 @@ def cut_links(source: Path) -> None:
 
 
 def stand_still() -> None:
-    """Take away what moves or acts: animation, drivers, scripts, sounds. Values stay as they are."""
+    """Take away what moves or acts: animation, drivers, scripts, sounds. Values are kept."""
     for block in bpy.data.user_map():
         for holder in (block, getattr(block, "node_tree", None), getattr(block, "shape_keys", None)):
             if getattr(holder, "animation_data", None):

@@ -1,6 +1,6 @@
 """`gof view`: the player's page, served to this machine alone, which follows a reconstruction that still runs.
 
-The page asks this program for a newer result, and of a result that is sampled in time for its Gaussians of an instant.
+The page requests newer results here, and an instant's Gaussians of a result that is sampled in time.
 A browser lets every page on the web ask addresses of the machine it runs on. It says so in `Origin`; and a page whose
 own name was bent to this machine (DNS rebinding) still sends that name as `Host`. Neither gets an answer.
 """

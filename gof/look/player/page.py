@@ -1,4 +1,4 @@
-"""The player's page, and `gof share`: one HTML file that plays from the disk and asks nothing of the network.
+"""The player's page, and `gof share`: one HTML file that plays from the disk, without a network.
 
 The page's own code lies beside this file: `unpack.js` turns the columns of `quantise.py` into numbers, `sort.js` orders
 them in a worker, `draw.js` and the shaders draw, `view.js` turns the camera, `player.js` is what people touch.
@@ -51,7 +51,7 @@ class Shared:
 
 @dataclass(frozen=True)
 class PageSetting:
-    """Where results are shown: what stays as it is while they change.
+    """Setting in which results are shown: the part that does not change with them.
 
     Attributes:
         dataset: None where there is none.

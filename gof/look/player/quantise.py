@@ -43,7 +43,7 @@ class Column:
 
     @property
     def steps(self) -> int:
-        """The whole number that means `high`."""
+        """Return the whole number that means `high`."""
         return 2 ** (8 * self.bytes) - 1 - self.infinite
 
 

@@ -1,4 +1,4 @@
-"""How the native kernels are compiled: once per machine, kept in the user's cache folder, and announced."""
+"""Compile the native kernels: once per machine, kept in the user's cache folder, and announced."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ FAST = {"contract", "nsz", "arcp"}
 
 
 def cache_folder() -> Path | None:
-    """Where compiled kernels are kept; None where no folder can be written: they are compiled in every process then.
+    """Return the compiled kernels' folder; None where none can be written: every process then compiles them.
 
     $NUMBA_CACHE_DIR, or gof in the user's cache folder. The last part names the sources, because numba notices a change
     only in the file that holds a kernel and not in those it calls.

@@ -40,13 +40,13 @@ class _LaneModel(models.PrimitiveModel):
 
 
 def _use_wide_registers(builder) -> None:
-    """Many CPUs have 512-bit registers that LLVM leaves unused unless it is asked."""
+    """Many CPUs have 512-bit registers that LLVM uses only on request."""
     for attribute in ('"prefer-vector-width"="512"', '"min-legal-vector-width"="512"'):
         set.add(builder.function.attributes, attribute)  # llvmlite's own `add` knows a few attributes only
 
 
 def _spread(builder, number):
-    """A number in every lane."""
+    """Return a number in every lane."""
     undefined = ir.Constant(VECTOR, ir.Undefined)
     first = builder.insert_element(undefined, number, ir.Constant(I32, 0))
     return builder.shuffle_vector(first, undefined, ir.Constant(INTEGERS, [0] * LANES))
@@ -57,7 +57,7 @@ def _constant(values) -> ir.Constant:
 
 
 def _vectors(context, builder, kinds, values) -> list:
-    """The operands as vectors (a mask stays one)."""
+    """Return the operands as vectors (a mask stays one)."""
     _use_wide_registers(builder)
     return [
         value if isinstance(kind, _LaneType) else _spread(builder, context.cast(builder, value, kind, types.float32))
@@ -66,7 +66,7 @@ def _vectors(context, builder, kinds, values) -> list:
 
 
 def _lanewise(build, operands: int, result=vector):
-    """An intrinsic: `build(builder, *vectors)` on vectors and numbers, of which one at least is a vector."""
+    """Return an intrinsic: `build(builder, *vectors)` on vectors and numbers, of which one at least is a vector."""
 
     def signature(*kinds):
         def emit(context, builder, signature, values):
@@ -295,7 +295,7 @@ def _tuple_of(context, builder, kind, values):
 
 @intrinsic
 def zeros(typing, planes):
-    """A tuple of zeros, one for each."""
+    """Return a tuple of zeros, one for each."""
     kind = types.UniTuple(vector, len(planes))
 
     def emit(context, builder, signature, values):
@@ -306,7 +306,7 @@ def zeros(typing, planes):
 
 @intrinsic
 def load_blocks(typing, planes, index, stride):
-    """The 4x4 block that begins at `index` of each plane with `stride` values per row."""
+    """Return the 4x4 block that begins at `index` of each plane with `stride` values per row."""
     kind = types.UniTuple(vector, len(planes))
 
     def emit(context, builder, signature, values):
@@ -365,7 +365,7 @@ def _three(values):
 
 
 def _with_numbers(context, builder, kind, blocks, array, index):
-    """The blocks, and for each the number at its place in the array."""
+    """Return the blocks, and for each the number at its place in the array."""
     blocks = _elements(builder, blocks)
     pointers = (
         _pointer(context, builder, kind, array, builder.add(index, ir.Constant(index.type, k)))

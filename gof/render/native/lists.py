@@ -1,4 +1,4 @@
-"""Which Gaussians touch which 4x4 pixel block, front to back: what `gof.render.bins` does, in loops over memory.
+"""Gaussians that touch each 4x4 pixel block, front to back: what `gof.render.bins` does, in loops over memory.
 
 Gaussians by depth (radix sort of the depths' bits) -> in memory order, the span of blocks of every row a Gaussian
 touches, and how many spans begin and end at each block -> where each block's list begins -> in depth order, the lists.
@@ -78,7 +78,7 @@ def sort_by_depth(depth_bits, bits, order, keys, spare_order, spare_keys):
 
 @kernel
 def pairs_by_row(bits, widths, rows):
-    """Upper bound of the pairs in each block row: every Gaussian as wide as it is at its widest."""
+    """Return an upper bound of the pairs in each block row: every Gaussian has its greatest width everywhere."""
     change = np.zeros(rows + 1, np.int64)
     for i in range(len(widths)):
         first, end = rows_of(bits, i, 0, rows)
@@ -144,7 +144,7 @@ def find_spans(begin, stop, records, shapes, bits, first_row, end_row, first_spa
 
 @kernel
 def begin_lists(change, rows, columns, start):
-    """Where each block's list begins (and, in one entry more, where the last one ends), from the parts' changes."""
+    """Return where each block's list begins, and the end of the last in one entry more, from the parts' changes."""
     total = np.uint32(0)
     for row in range(rows):
         open_spans = 0

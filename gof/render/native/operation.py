@@ -27,7 +27,7 @@ MOST_BLOCKS = 0xFFFF  # along a side: two of these share a word
 
 @dataclass
 class _Band:
-    """What a band of block rows is drawn from."""
+    """Inputs from which a band of block rows is drawn."""
 
     first_row: int
     start: np.ndarray  # (blocks + 1,) first pair of each block
