@@ -91,6 +91,7 @@ def _mean_along_rays(
     splats = replace(splats_at(gaussians, camera, time_s), color=shown)
     require_finite_splats(splats)
     frame = render_splats(splats, camera, dynamic=floats(gaussians.dynamic))
+    assert frame.dynamic_alpha is not None, "weights were given"
     alpha = np.array(frame.dynamic_alpha.numpy()).reshape(shape)
     sums = np.stack([plane.numpy() for plane in frame.color]).reshape(len(values), 2, *shape)
     seen = alpha > 1e-4
