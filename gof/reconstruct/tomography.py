@@ -10,7 +10,8 @@ from gof.reconstruct.voxels import LAYERS_POOLED, FlameVoxels
 
 SMOOTH = 0.6  # voxels, std-dev by which a compact flame is smoothed between two iterations
 POWER = 1.15  # that draws its light together in each; 1 leaves the hull's streaks along the rays
-WIDER = 1.3  # times a round flame's width: so wide it starts, as it is drawn together
+SETTLED = 4  # last iterations without both: pictures are met again, and the shape stays
+WIDER = 2.0  # times a round flame's width: so wide it starts, as what no view bounds is drawn together by that much
 FAINTEST = 40.0  # squared distances in std-devs beyond this are all the same; nothing in the hull is ruled out
 
 
@@ -57,6 +58,7 @@ def find_compact_emission(
     power: float = POWER,
     wider: float = WIDER,
     iterations: int = 12,
+    settled: int = SETTLED,
 ) -> np.ndarray:
     """Emission per voxel of one frame, smooth and no longer along the rays than the views ask for.
 
@@ -65,7 +67,10 @@ def find_compact_emission(
     power a little above 1, which draws it together: where views from several sides support each other it grows, and
     what lies along one ray alone dies out. Figures of each choice: `python -m gof_benchmark.evidence.tomography`.
 
-    Args and returns: as `find_emission`; smooth, power, wider: see above.
+    Then plain iterations meet the pictures again, which change its shape no more.
+
+    Args and returns: as `find_emission`; smooth, power, wider: see above; settled: plain iterations at the end,
+        1 or more.
     """
     from scipy.ndimage import gaussian_filter  # here: it takes long to load
 
@@ -78,7 +83,7 @@ def find_compact_emission(
     for _ in range(iterations):
         grid[cells] = _maximise(emission, views, 1) ** power
         emission = hull * gaussian_filter(grid, smooth, mode="constant")[cells]
-    return _in_unit(emission, views)
+    return _maximise(emission, views, settled)
 
 
 def _hull_and_views(
@@ -89,42 +94,54 @@ def _hull_and_views(
     return (hit != 0).all(0) & (hit == 1).any(0), _pooled_views(voxels, intensity, hit == 1)
 
 
-def _in_unit(emission: np.ndarray, views: list[_PooledView]) -> np.ndarray:
-    """The same emission, as bright in all views together as these are where it may be."""
-    seen = sum(view.light[np.unique(view.cell)].sum() for view in views)
-    shown = sum(emission[view.seen].sum() for view in views)
-    return emission * (seen / shown) if shown > 0 else emission
-
-
 def round_flame(voxels: FlameVoxels, emission: np.ndarray) -> np.ndarray:
-    """(V,) in (0, 1]: a flame with a round Gaussian cross-section at every height, as wide as the views say it is.
+    """Return (V,) in (0, 1]: a flame with a round Gaussian cross-section in every layer, as wide as the views say.
 
     Emission that reproduces the views has the right mean and variance across every viewing direction, whatever its
-    shape along it; the mean over the views of those variances is the round flame's. A single view does not say where
-    its middle is along the rays: as near to the world's axis as can be. All 1 where fewer than two of several views are
-    from the side.
+    shape along it; the mean over the views of those variances is the round flame's, and its middle is the emission's:
+    views from nearly one side hardly say how far away that is, and the hull is all that bounds it. Layers lie along
+    the rays (`_upright`): in level ones, light that is drawn out along steep rays would be at wrong heights. A single
+    view does not say where its middle is along the rays: as near to the world's axis as can be, in level layers. All 1
+    where fewer than two of several views are from the side.
     """
-    layer, layers = voxels.index[:, 2], int(voxels.resolution[2])
-    axis = np.cross(voxels.jacobian[:, :, 0], voxels.jacobian[:, :, 1]).mean(1)  # viewing directions, any length
-    across = np.stack([axis[:, 1], -axis[:, 0]], -1)
-    side = np.linalg.norm(across, axis=-1) > 0.1 * np.linalg.norm(axis, axis=-1)
+    rays = np.cross(voxels.jacobian[:, :, 0], voxels.jacobian[:, :, 1]).mean(1)
+    rays /= np.linalg.norm(rays, axis=1, keepdims=True)
+    up = _upright(rays) if len(rays) > 1 else np.array([0.0, 0.0, 1.0])
+    across = np.cross(up, rays)
+    side = np.linalg.norm(across, axis=-1) > 0.1
     if side.sum() < min(2, len(side)):
         return np.ones(len(emission))
     from scipy.ndimage import gaussian_filter1d  # here: it takes long to load
 
     across = across[side] / np.linalg.norm(across[side], axis=-1, keepdims=True)
+    height = voxels.center @ up
+    layer = np.round((height - height.min()) / voxels.voxel_size).astype(np.int64)
 
     def per_layer(values: np.ndarray) -> np.ndarray:
-        return gaussian_filter1d(np.bincount(layer, emission * values, layers), LAYERS_POOLED, mode="nearest")
+        return gaussian_filter1d(np.bincount(layer, emission * values), LAYERS_POOLED, mode="nearest")
 
     weight = np.maximum(per_layer(np.ones(len(emission))), np.finfo(np.float32).tiny)
-    place = voxels.center[:, :2] @ across.T
+    place = voxels.center @ across.T
     mean = np.stack([per_layer(x) for x in place.T]) / weight
     variance = np.stack([per_layer(x**2) for x in place.T]) / weight - mean**2
-    middle = np.linalg.lstsq(across, mean, rcond=None)[0].T
+    one = len(across) == 1
+    middle = mean.T @ across if one else np.stack([per_layer(x) for x in voxels.center.T], -1) / weight[:, None]
     width2 = np.maximum(variance.mean(0), voxels.voxel_size**2)
-    distance2 = ((voxels.center[:, :2] - middle[layer]) ** 2).sum(-1)
+    away = voxels.center - middle[layer]
+    distance2 = (away**2).sum(-1) - (away @ up) ** 2
     return np.exp(-0.5 * np.minimum(distance2 / width2[layer], FAINTEST))
+
+
+def _upright(rays: np.ndarray) -> np.ndarray:
+    """Return (3,), +z turned in the mean ray's upright plane until it is square to the rays (C, 3), of length 1.
+
+    The less, the further around the flame the cameras stand; not at all where they stand all around it.
+    """
+    level = rays[:, :2] / np.maximum(np.linalg.norm(rays[:, :2], axis=1, keepdims=True), np.finfo(float).tiny)
+    alike = np.linalg.norm(level.mean(0))  # 1 where all look the same way, 0 from all around
+    climb = np.arcsin(np.clip(rays[:, 2], -1, 1)).mean() * alike
+    forward = level.mean(0) / max(alike, np.finfo(float).tiny)
+    return np.array([*(-np.sin(climb) * forward), np.cos(climb)])
 
 
 class _PooledView(NamedTuple):

@@ -9,7 +9,7 @@ from gof.core.errors import DataFormatError
 from gof.reconstruct import tomography as tomography_module
 from gof.reconstruct.tomography import find_compact_emission, find_emission, round_flame, tomography
 from gof.reconstruct.voxels import carve, flame_box
-from tests.conftest import arc
+from tests.conftest import arc, look_at
 
 
 def ball(cameras, center=(0, 0, 1.0), radius=0.25):
@@ -79,6 +79,22 @@ def test_a_flame_is_about_as_deep_as_it_is_wide(monkeypatch):
     monkeypatch.setattr(tomography_module, "round_flame", lambda v, emission: np.ones(len(emission)))
     depth, width = depth_and_width(voxels, tomography(voxels, lengths, masks), cameras[1], middle)
     assert depth > 1.08 * width, "an even start stretches it along the view"
+
+
+@pytest.mark.parametrize("find", [find_emission, find_compact_emission])
+def test_a_flame_seen_from_nearly_one_side_and_above_is_no_deeper_than_wide(find):
+    """Three cameras 9 degrees apart that look down by 21: a ball's light is known, off the origin."""
+    middle, radius, climb = np.array([0.1, 0.15, 1.05]), 0.25, np.deg2rad(21)
+    cameras = []
+    for k, angle in enumerate(np.deg2rad([-9, 0, 9])):
+        out = np.array([np.sin(angle) * np.cos(climb), -np.cos(angle) * np.cos(climb), np.sin(climb)])
+        cameras.append(look_at(f"cam_{k}", middle + 3 * out + [0.02, 0, 0], middle + [0.02, 0, 0]))
+    masks, lengths = ball(cameras, middle, radius)
+    voxels = carve(cameras, masks[None], 40)
+    emission = find(voxels, lengths, masks)
+    assert np.average(voxels.center, axis=0, weights=emission) == pytest.approx(middle, abs=0.02)
+    depth, width = depth_and_width(voxels, emission, cameras[1], middle)
+    assert [depth, width] == pytest.approx([radius / np.sqrt(5)] * 2, rel=0.15)
 
 
 def test_round_flame_needs_two_views_from_the_side():
@@ -169,7 +185,7 @@ def test_compact_light_is_where_two_balls_are(count):
     voxels = carve(cameras, masks[None], 40)
     plain, compact = (f(voxels, lengths, masks) for f in (find_emission, find_compact_emission))
     assert share_in_balls(voxels, compact, middles, radius) > share_in_balls(voxels, plain, middles, radius) + 0.03
-    assert share_in_balls(voxels, compact, middles, radius) > 0.8
+    assert share_in_balls(voxels, compact, middles, radius) > {2: 0.65, 3: 0.95}[count]
 
 
 def test_compact_light_is_in_the_views_own_unit():
