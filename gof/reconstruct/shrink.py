@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
 
 from gof.core.cameras import Camera
+from gof.core.gaussians import TransientGaussians
 from gof.dataset import Dataset
+from gof.render.project import ProjectionOptions
 
 
 @dataclass(frozen=True)
@@ -49,6 +51,24 @@ def shrink(dataset: Dataset, longest_side: int) -> Dataset:
         return dataset
     cameras = [_fitting(camera, longest_side) for camera in dataset.cameras]
     return _Shrunk(dataset.path, dataset.description, cameras, dataset.times_s, dataset, longest_side)
+
+
+def enlarge(gaussians: TransientGaussians, dataset: Dataset) -> TransientGaussians:
+    """Return Gaussians that were fitted to a `shrink`ed dataset's pictures as they look in full-size ones.
+
+    Every pixel blurs what it shows (`ProjectionOptions.dilation`), and a smaller picture's blurs more of the world.
+    Gaussians have learned to be thinner by that much: drawn larger, they would be hairs with gaps between them. So
+    dynamic ones are widened by the blur that full-size pixels lack, as the cameras see it at their place, on average.
+    """
+    if not isinstance(dataset, _Shrunk):
+        return gaussians
+    lacking = np.zeros(len(gaussians))  # m^2
+    for small, full in zip(dataset.cameras, dataset.full.cameras, strict=True):
+        depth = np.maximum(small.to_camera(gaussians.position)[:, 2], 0)
+        lacking += depth**2 * (1 / small.K[0, 0] ** 2 - 1 / full.K[0, 0] ** 2) / len(dataset.cameras)
+    variance = gaussians.scale.astype(np.float64) ** 2 + ProjectionOptions.dilation * lacking[:, None]
+    wider = np.where(gaussians.dynamic[:, None], np.sqrt(variance), gaussians.scale)
+    return replace(gaussians, scale=wider.astype(np.float32))
 
 
 def _fitting(camera: Camera, longest_side: int) -> Camera:

@@ -35,6 +35,7 @@ from gof.reconstruct.presets import STILL_STEPS
 from gof.reconstruct.seeds import LIFETIME_FRAMES, lifetime_s, sample_seeds
 from gof.reconstruct.seen import flow_field_of, observation_of, uses_flow_prior
 from gof.reconstruct.settings import ReconstructionSettings
+from gof.reconstruct.shrink import enlarge
 from gof.reconstruct.surroundings import Plates, StillScene, Surroundings
 from gof.reconstruct.unseen import find_compact_flame, imagine_views
 from gof.reconstruct.windows import Windows
@@ -280,6 +281,7 @@ def save(
     """Write the result and the plates that it is drawn over; remove what was only on the way."""
     _show(run, held_out, "5_result", "the result", gaussians, plates)
     save_plates(run.out, [camera.name for camera in run.dataset.cameras if plates], plates)
+    gaussians = enlarge(gaussians, run.dataset)
     gaussians.save(run.out / "result.ply", source=run.source)
     path = gaussians.save(run.out / "result.npz", source=run.source)
     _checkpoint(run).unlink(missing_ok=True)

@@ -4,6 +4,7 @@ import itertools
 import resource
 from dataclasses import asdict, astuple, replace
 
+import cv2
 import drjit as dr
 import numpy as np
 import pytest
@@ -21,7 +22,7 @@ from gof.reconstruct.methods import PAPER
 from gof.reconstruct.observation import observe
 from gof.reconstruct.parameters import splats, to_raw
 from gof.reconstruct.presets import PRESETS, Effort, effort_of
-from gof.reconstruct.shrink import shrink
+from gof.reconstruct.shrink import enlarge, shrink
 from gof.render import render, render_splats
 from tests.conftest import arc
 from tests.reconstruct.rising_flame import DT, column, edit, held_out, reconstruct, write_flame
@@ -257,6 +258,25 @@ def test_shrunk_datasets_shrink_the_views_kept_for_scores_too(with_novel_view):
     larger = replace(entries[1], width=96, height=192)
     only_novel_is_large = replace(full, description=replace(full.description, cameras=(entries[0], larger, entries[2])))
     assert shrink(only_novel_is_large, 96).evaluation_view().cameras[0].height == 96
+
+
+def test_gaussians_of_small_pictures_look_as_blurred_at_full_size(flame):
+    """Thin ones: between full-size pixels there are no gaps, where drawn small there are none."""
+    full = Dataset.open(flame)
+    quarter = shrink(full, 24)
+    thin = replace(column(full.times_s), scale=np.full((500, 3), 1e-3, np.float32))
+    wide = enlarge(thin, quarter)
+    time_s = float(full.times_s[4])
+
+    def drawn(gaussians, dataset):
+        return render(gaussians, dataset.cameras[1], time_s)["alpha"]
+
+    wanted = cv2.resize(drawn(thin, quarter), (48, 96), interpolation=cv2.INTER_CUBIC)
+    far, near = (np.linalg.norm(drawn(g, full) - wanted) / np.linalg.norm(wanted) for g in (thin, wide))
+    assert near < 0.25 < 0.6 < far
+    assert enlarge(thin, full) is thin
+    still = replace(thin, dynamic=np.zeros(500, bool))
+    assert (enlarge(still, quarter).scale == thin.scale).all(), "what is no flame was not fitted to these pictures"
 
 
 def test_presets_fill_what_is_not_given():
