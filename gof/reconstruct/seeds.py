@@ -54,7 +54,7 @@ def sample_seeds(
         seeding: how many in which voxel, and what they look like.
         t_sigma: of every seed, s, > 0.
         budget: most Gaussians in all, shared among the frames by how many voxels their seeds fill.
-        compact: (F, V) emission that seeds are drawn by, see `unseen.find_compact_flame`; that of the field in frames
+        compact: (F, V) emission that seeds are drawn by, see `unseen.meet_pictures`; that of the field in frames
             where it is 0, and without it.
     Raises:
         DataFormatError: no frame has a voxel to seed with a known velocity.

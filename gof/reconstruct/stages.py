@@ -37,7 +37,7 @@ from gof.reconstruct.seen import flow_field_of, observation_of, uses_flow_prior
 from gof.reconstruct.settings import ReconstructionSettings
 from gof.reconstruct.shrink import enlarge
 from gof.reconstruct.surroundings import Plates, StillScene, Surroundings
-from gof.reconstruct.unseen import find_compact_flame, imagine_views
+from gof.reconstruct.unseen import find_compact_flame, imagine_views, meet_pictures
 from gof.reconstruct.windows import Windows
 
 
@@ -146,7 +146,7 @@ def make_flow_field(run: Run, observation: Observation) -> FlowField:
 
 
 def find_flame(run: Run, observation: Observation, field: FlowField) -> np.ndarray | None:
-    """Return (F, V) emission that seeds are drawn by and unseen views show; None: the method has neither."""
+    """Return (F, V) emission that unseen views show, and seeds start from; None: the method has neither."""
     if run.method.unseen <= 0:
         return None
     with run.log.measure("tomography"):
@@ -170,7 +170,8 @@ def make_seeds(
     rng = np.random.default_rng(settings.seed)
     with run.log.measure("seeds") as figures:
         t_sigma = lifetime_s(field, dt) if method.seeding.short_lives else LIFETIME_FRAMES[1] * dt
-        seeds = sample_seeds(field, method.seeding, t_sigma, settings.gaussians, rng, flame)
+        compact = None if flame is None else meet_pictures(field.voxels, flame, observation)
+        seeds = sample_seeds(field, method.seeding, t_sigma, settings.gaussians, rng, compact)
         seeds = ablations.change_seeds(settings.ablation, seeds, rng).measured_from(run.dataset.datum)
         seeds.save(run.out / "seeds.npz", source="gof reconstruct: seeds before optimisation")
         figures.update(gaussians=len(seeds), t_sigma_s=round(t_sigma, 5))

@@ -10,7 +10,7 @@ from gof.reconstruct.voxels import LAYERS_POOLED, FlameVoxels
 
 SMOOTH = 0.6  # voxels, std-dev by which a compact flame is smoothed between two iterations
 POWER = 1.15  # that draws its light together in each; 1 leaves the hull's streaks along the rays
-SETTLED = 4  # last iterations without both: pictures are met again, and the shape stays
+MET = 4  # plain iterations in which smoothed light meets the views again
 WIDER = 2.0  # times a round flame's width: so wide it starts, as what no view bounds is drawn together by that much
 FAINTEST = 40.0  # squared distances in std-devs beyond this are all the same; nothing in the hull is ruled out
 
@@ -58,7 +58,6 @@ def find_compact_emission(
     power: float = POWER,
     wider: float = WIDER,
     iterations: int = 12,
-    settled: int = SETTLED,
 ) -> np.ndarray:
     """Emission per voxel of one frame, smooth and no longer along the rays than the views ask for.
 
@@ -67,10 +66,7 @@ def find_compact_emission(
     power a little above 1, which draws it together: where views from several sides support each other it grows, and
     what lies along one ray alone dies out. Figures of each choice: `python -m gof_benchmark.evidence.tomography`.
 
-    Then plain iterations meet the pictures again, which change its shape no more.
-
-    Args and returns: as `find_emission`; smooth, power, wider: see above; settled: plain iterations at the end,
-        1 or more.
+    Args and returns: as `find_emission`; smooth, power, wider: see above.
     """
     from scipy.ndimage import gaussian_filter  # here: it takes long to load
 
@@ -83,7 +79,18 @@ def find_compact_emission(
     for _ in range(iterations):
         grid[cells] = _maximise(emission, views, 1) ** power
         emission = hull * gaussian_filter(grid, smooth, mode="constant")[cells]
-    return _maximise(emission, views, settled)
+    return _in_unit(emission, views)
+
+
+def meet_views(
+    voxels: FlameVoxels, emission: np.ndarray, intensity: np.ndarray, mask: np.ndarray, iterations: int = MET
+) -> np.ndarray:
+    """Return (V,) emission of one frame that has nearly the shape of a given one, and agrees with the views.
+
+    `find_compact_emission` is nearer to the truth and smoother than it; what is to be drawn in the views must meet
+    them: a few iterations of plain EM from there. Args as those of `find_emission`; emission: (V,) to begin with.
+    """
+    return _maximise(emission, _hull_and_views(voxels, intensity, mask)[1], iterations)
 
 
 def _hull_and_views(
@@ -92,6 +99,13 @@ def _hull_and_views(
     """(V,) bool, voxels that the frame's masks leave standing, and the frame's pooled views."""
     hit = voxels.sample(mask.astype(np.int8), outside=-1)
     return (hit != 0).all(0) & (hit == 1).any(0), _pooled_views(voxels, intensity, hit == 1)
+
+
+def _in_unit(emission: np.ndarray, views: list[_PooledView]) -> np.ndarray:
+    """Return the same emission, as bright in all views together as these are where it may be."""
+    seen = sum(view.light[np.unique(view.cell)].sum() for view in views)
+    shown = sum(emission[view.seen].sum() for view in views)
+    return emission * (seen / shown) if shown > 0 else emission
 
 
 def round_flame(voxels: FlameVoxels, emission: np.ndarray) -> np.ndarray:

@@ -7,7 +7,13 @@ import pytest
 
 from gof.core.errors import DataFormatError
 from gof.reconstruct import tomography as tomography_module
-from gof.reconstruct.tomography import find_compact_emission, find_emission, round_flame, tomography
+from gof.reconstruct.tomography import (
+    find_compact_emission,
+    find_emission,
+    meet_views,
+    round_flame,
+    tomography,
+)
 from gof.reconstruct.voxels import carve, flame_box
 from tests.conftest import arc, look_at
 
@@ -186,6 +192,19 @@ def test_compact_light_is_where_two_balls_are(count):
     plain, compact = (f(voxels, lengths, masks) for f in (find_emission, find_compact_emission))
     assert share_in_balls(voxels, compact, middles, radius) > share_in_balls(voxels, plain, middles, radius) + 0.03
     assert share_in_balls(voxels, compact, middles, radius) > {2: 0.65, 3: 0.95}[count]
+
+
+def test_smoothed_light_meets_the_views_again():
+    """A ball smaller than two voxels, in a large hull: smoothed, it is too wide, and then less so."""
+    cameras, middle, radius = arc(3), np.array([0, 0, 1.0]), 0.06
+    _, lengths = ball(cameras, middle, radius)
+    allowed, _ = ball(cameras, middle, 0.3)
+    voxels = carve(cameras, allowed[None], 24)
+    smooth = find_compact_emission(voxels, lengths, allowed)
+    met = meet_views(voxels, smooth, lengths, allowed)
+    widths = [depth_and_width(voxels, emission, cameras[1], middle)[1] for emission in (smooth, met)]
+    true = radius / np.sqrt(5)
+    assert true < widths[1] < true + 0.5 * (widths[0] - true)
 
 
 def test_compact_light_is_in_the_views_own_unit():
