@@ -75,11 +75,10 @@ def _run_stages(run: stages.Run, until: Until) -> stages.Reconstruction | None:
     if until == "flow-field":
         return None
     held_out = HeldOut(run.dataset, list(observation.static), near=field.voxels.voxel_size)
-    flame = stages.find_flame(run, observation, field)
-    seeds = stages.make_seeds(run, observation, still, field, flame, held_out)
+    seeds = stages.make_seeds(run, observation, still, field, held_out)
     if until == "seeds":
         return None
-    gaussians, plates, curve = stages.fit(run, observation, still, field, flame, seeds, held_out)
+    gaussians, plates, curve = stages.fit(run, observation, still, field, seeds, held_out)
     return stages.save(run, gaussians, plates, curve, held_out)
 
 

@@ -41,12 +41,7 @@ def lifetime_s(field: FlowField, frame_time_s: float) -> float:
 
 
 def sample_seeds(
-    field: FlowField,
-    seeding: Seeding,
-    t_sigma: float,
-    budget: int,
-    rng: np.random.Generator,
-    compact: np.ndarray | None = None,
+    field: FlowField, seeding: Seeding, t_sigma: float, budget: int, rng: np.random.Generator
 ) -> TransientGaussians:
     """Gaussians placed where the velocity is known, moving with the light and told of the gas.
 
@@ -54,15 +49,11 @@ def sample_seeds(
         seeding: how many in which voxel, and what they look like.
         t_sigma: of every seed, s, > 0.
         budget: most Gaussians in all, shared among the frames by how many voxels their seeds fill.
-        compact: (F, V) emission that seeds are drawn by, see `unseen.meet_pictures`; that of the field in frames
-            where it is 0, and without it.
     Raises:
         DataFormatError: no frame has a voxel to seed with a known velocity.
     """
     voxels = field.voxels
-    emission = field.emission if compact is None else np.where(compact.any(1)[:, None], compact, field.emission)
-    shining = emission if seeding.by_emission else np.ones_like(emission)
-    chances = [np.where(frame.known, shines, 0.0) for frame, shines in zip(field.frames, shining, strict=True)]
+    chances = [np.where(frame.known, frame.emission if seeding.by_emission else 1.0, 0.0) for frame in field.frames]
     # Effective number of filled voxels (inverse participation ratio): a large flame needs more seeds than a small one.
     extent = np.array([c.sum() ** 2 / (c**2).sum() if c.any() else 0.0 for c in chances])
     if not extent.any():

@@ -37,7 +37,7 @@ from gof.reconstruct.seen import flow_field_of, observation_of, uses_flow_prior
 from gof.reconstruct.settings import ReconstructionSettings
 from gof.reconstruct.shrink import enlarge
 from gof.reconstruct.surroundings import Plates, StillScene, Surroundings
-from gof.reconstruct.unseen import find_compact_flame, imagine_views, meet_pictures
+from gof.reconstruct.unseen import find_compact_flame, imagine_views
 from gof.reconstruct.windows import Windows
 
 
@@ -145,33 +145,19 @@ def make_flow_field(run: Run, observation: Observation) -> FlowField:
 # ---- Seeds: the Gaussians that the optimisation starts from ----------------------------------------------------------
 
 
-def find_flame(run: Run, observation: Observation, field: FlowField) -> np.ndarray | None:
-    """Return (F, V) emission that unseen views show, and seeds start from; None: the method has neither."""
-    if run.method.unseen <= 0:
-        return None
-    with run.log.measure("tomography"):
-        return find_compact_flame(field.voxels, observation)
-
-
 def make_seeds(
     run: Run,
     observation: Observation,
     still: TransientGaussians | None,
     field: FlowField,
-    flame: np.ndarray | None,
     held_out: HeldOut,
 ) -> TransientGaussians:
-    """Return the Gaussians that the optimisation starts from; kept in OUT/seeds.npz.
-
-    Args:
-        flame: of `find_flame`.
-    """
+    """Return the Gaussians that the optimisation starts from; kept in OUT/seeds.npz."""
     settings, method, dt = run.settings, run.method, run.dataset.frame_time_s
     rng = np.random.default_rng(settings.seed)
     with run.log.measure("seeds") as figures:
         t_sigma = lifetime_s(field, dt) if method.seeding.short_lives else LIFETIME_FRAMES[1] * dt
-        compact = None if flame is None else meet_pictures(field.voxels, flame, observation)
-        seeds = sample_seeds(field, method.seeding, t_sigma, settings.gaussians, rng, compact)
+        seeds = sample_seeds(field, method.seeding, t_sigma, settings.gaussians, rng)
         seeds = ablations.change_seeds(settings.ablation, seeds, rng).measured_from(run.dataset.datum)
         seeds.save(run.out / "seeds.npz", source="gof reconstruct: seeds before optimisation")
         figures.update(gaussians=len(seeds), t_sigma_s=round(t_sigma, 5))
@@ -188,7 +174,6 @@ def fit(
     observation: Observation,
     still: TransientGaussians | None,
     field: FlowField,
-    flame: np.ndarray | None,
     seeds: TransientGaussians,
     held_out: HeldOut,
 ) -> tuple[TransientGaussians, list[np.ndarray], Curve]:
@@ -225,7 +210,11 @@ def fit(
         if still is None
         else StillScene(still, parts, field.voxels)
     )
-    unseen = None if flame is None else imagine_views(field.voxels, flame, observation)
+    unseen = (
+        imagine_views(field.voxels, find_compact_flame(field.voxels, observation), observation)
+        if schedule.unseen > 0
+        else None
+    )
     checkpoint = _checkpoint(run)
     spent = read_spent(checkpoint)
     curve = CurveLog(run.out, resumed_s=spent.fitting_s if spent else None)

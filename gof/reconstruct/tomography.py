@@ -10,8 +10,7 @@ from gof.reconstruct.voxels import LAYERS_POOLED, FlameVoxels
 
 SMOOTH = 0.6  # voxels, std-dev by which a compact flame is smoothed between two iterations
 POWER = 1.15  # that draws its light together in each; 1 leaves the hull's streaks along the rays
-MET = 4  # plain iterations in which smoothed light meets the views again
-WIDER = 2.0  # times a round flame's width: so wide it starts, as what no view bounds is drawn together by that much
+WIDER = 1.3  # times a round flame's width: so wide it starts, as it is drawn together
 FAINTEST = 40.0  # squared distances in std-devs beyond this are all the same; nothing in the hull is ruled out
 
 
@@ -80,17 +79,6 @@ def find_compact_emission(
         grid[cells] = _maximise(emission, views, 1) ** power
         emission = hull * gaussian_filter(grid, smooth, mode="constant")[cells]
     return _in_unit(emission, views)
-
-
-def meet_views(
-    voxels: FlameVoxels, emission: np.ndarray, intensity: np.ndarray, mask: np.ndarray, iterations: int = MET
-) -> np.ndarray:
-    """Return (V,) emission of one frame that has nearly the shape of a given one, and agrees with the views.
-
-    `find_compact_emission` is nearer to the truth and smoother than it; what is to be drawn in the views must meet
-    them: a few iterations of plain EM from there. Args as those of `find_emission`; emission: (V,) to begin with.
-    """
-    return _maximise(emission, _hull_and_views(voxels, intensity, mask)[1], iterations)
 
 
 def _hull_and_views(

@@ -20,7 +20,7 @@ from scipy.sparse import coo_matrix, csr_matrix
 from gof.core.cameras import Camera
 from gof.core.colour import srgb_to_linear
 from gof.reconstruct.observation import Observation
-from gof.reconstruct.tomography import find_compact_emission, meet_views
+from gof.reconstruct.tomography import find_compact_emission
 from gof.reconstruct.voxels import FlameVoxels
 from gof.render.bins import BLOCK
 
@@ -82,13 +82,6 @@ def find_compact_flame(voxels: FlameVoxels, observation: Observation) -> np.ndar
             for f in range(len(light))
         ]
     )
-
-
-def meet_pictures(voxels: FlameVoxels, emission: np.ndarray, observation: Observation) -> np.ndarray:
-    """Return (F, V) emission of a clip's frames of about a given one's shape that the pictures agree with
-    (`meet_views`): what seeds are drawn by; 0 where the given one is."""
-    light = unsaturated_light(observation)
-    return np.stack([meet_views(voxels, e, light[f], observation.mask[f]) for f, e in enumerate(emission)])
 
 
 def imagine_views(voxels: FlameVoxels, emission: np.ndarray, observation: Observation) -> UnseenViews | None:

@@ -10,7 +10,6 @@ from gof.reconstruct import tomography as tomography_module
 from gof.reconstruct.tomography import (
     find_compact_emission,
     find_emission,
-    meet_views,
     round_flame,
     tomography,
 )
@@ -100,7 +99,8 @@ def test_a_flame_seen_from_nearly_one_side_and_above_is_no_deeper_than_wide(find
     emission = find(voxels, lengths, masks)
     assert np.average(voxels.center, axis=0, weights=emission) == pytest.approx(middle, abs=0.02)
     depth, width = depth_and_width(voxels, emission, cameras[1], middle)
-    assert [depth, width] == pytest.approx([radius / np.sqrt(5)] * 2, rel=0.15)
+    assert width == pytest.approx(radius / np.sqrt(5), rel=0.1)
+    assert 0.6 * width < depth < 1.15 * width, "drawn together, it is thinner than it is; never a needle along the rays"
 
 
 def test_round_flame_needs_two_views_from_the_side():
@@ -191,20 +191,7 @@ def test_compact_light_is_where_two_balls_are(count):
     voxels = carve(cameras, masks[None], 40)
     plain, compact = (f(voxels, lengths, masks) for f in (find_emission, find_compact_emission))
     assert share_in_balls(voxels, compact, middles, radius) > share_in_balls(voxels, plain, middles, radius) + 0.03
-    assert share_in_balls(voxels, compact, middles, radius) > {2: 0.65, 3: 0.95}[count]
-
-
-def test_smoothed_light_meets_the_views_again():
-    """A ball smaller than two voxels, in a large hull: smoothed, it is too wide, and then less so."""
-    cameras, middle, radius = arc(3), np.array([0, 0, 1.0]), 0.06
-    _, lengths = ball(cameras, middle, radius)
-    allowed, _ = ball(cameras, middle, 0.3)
-    voxels = carve(cameras, allowed[None], 24)
-    smooth = find_compact_emission(voxels, lengths, allowed)
-    met = meet_views(voxels, smooth, lengths, allowed)
-    widths = [depth_and_width(voxels, emission, cameras[1], middle)[1] for emission in (smooth, met)]
-    true = radius / np.sqrt(5)
-    assert true < widths[1] < true + 0.5 * (widths[0] - true)
+    assert share_in_balls(voxels, compact, middles, radius) > 0.8
 
 
 def test_compact_light_is_in_the_views_own_unit():
