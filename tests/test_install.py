@@ -149,7 +149,9 @@ def test_whoever_lacks_pytorch_is_told_before_other_methods_code_begins(monkeypa
 def test_a_library_that_does_not_load_is_told_from_one_that_is_not_there(tmp_path, monkeypatch):
     (tmp_path / "broken_library.py").write_text("raise ImportError('libx.so.1: cannot open shared object file')")
     monkeypatch.syspath_prepend(tmp_path)
-    with pytest.raises(MissingDependencyError, match=r"is there and does not load \(libx.so.1: cannot open.*\[view\]"):
+    with pytest.raises(
+        MissingDependencyError, match=r"is installed but does not load \(libx.so.1: cannot open.*\[view\]"
+    ):
         extras.load("broken_library", "view", "a picture")
 
 

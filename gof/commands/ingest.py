@@ -13,7 +13,7 @@ import tyro
 from gof.capture.recognise import BoardUnclear, first_frames, recognise, require_strips
 from gof.capture.template import BoardTemplate
 from gof.capture.times import FILE
-from gof.commands.capture_sync import SyncConfig, find_clocks
+from gof.commands import capture_sync
 from gof.commands.everywhere import require_writable, write_figures
 from gof.commands.read import Degrees, Metres, Millimetres, Pixels, read_options
 from gof.core.costs import StageLog
@@ -174,7 +174,7 @@ def ingest(config: IngestConfig) -> Ingested:
     footage = open_footage(config)
     if config.times == (SYNC,) and not is_published(config.videos):
         (out / SYNC / FILE).unlink(missing_ok=True)  # of a run that was cut off, perhaps of other videos
-        find_clocks(SyncConfig(config.videos, out / SYNC, config.board, report=False))
+        capture_sync.find_clocks(capture_sync.SyncConfig(config.videos, out / SYNC, config.board, report=False))
     if config.flame_height_m is not None and (len(footage.videos) > 1 or footage.world_to_camera is not None):
         raise GofError("--flame-height-m: only for a single camera whose pose is not known; leave it out")
     pose_options = PoseOptions(

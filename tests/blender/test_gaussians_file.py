@@ -285,7 +285,7 @@ def test_broken_sequences(tmp_path):
     with pytest.raises(DataFormatError, match=r"has the number 1, and so has"):
         load(tmp_path)
     (tmp_path / "01.ply").rename(tmp_path / "cloud.ply")
-    with pytest.raises(DataFormatError, match=r"cloud\.ply: its name has no number"):
+    with pytest.raises(DataFormatError, match=r"cloud\.ply: its name has no frame number"):
         load(tmp_path)
     plain_ply(tmp_path / "cloud.ply", gaussians()).rename(tmp_path / "2.ply")
     (tmp_path / "2.ply").write_bytes((tmp_path / "2.ply").read_bytes()[:-5])

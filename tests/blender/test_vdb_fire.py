@@ -165,7 +165,7 @@ def test_frames_before_the_fire_burns_are_dark(tmp_path, capsys):
     [
         (["fire_v1.0000", "fire_v1.0001", "fire_v2.0000"], "has the number 0, and so has fire_v1.0000.vdb"),
         (["fire_v1.0000", "fire_v2.0001"], "differ in more than the frame's number"),
-        (["fire.0000", "fire"], "fire.vdb: its name has no number"),
+        (["fire.0000", "fire"], "fire.vdb: its name has no frame number"),
         (["fire.0000", "fire.0001-velocity"], "fire.0001.vdb: no grid 'velocity' can be read there; it has flame"),
         (["fire.0000-flame", "fire.0001-flame"], "no grid 'flame' can be read there; it has velocity"),
     ],

@@ -139,7 +139,7 @@ def test_a_large_drift_is_found_beside_the_fires_own_light():
     y, x = np.mgrid[:HEIGHT, :WIDTH]
     near = 1 / (1 + ((x - 120) ** 2 + (y - 180) ** 2) / 80**2)
     gains = np.linspace(0.8, 1.2, COUNT)[:, None, None, None]
-    room = 0.18 * (np.arange(COUNT) % 2)[:, None, None, None] * near[..., None] * WARM
+    room = 0.12 * (np.arange(COUNT) % 2)[:, None, None, None] * near[..., None] * WARM
     found = steadied(filmed(gains=gains, room=room))
     assert "the exposure changes by" in found.notes[0] and "brought to the usual one" in found.notes[0]
     truth = (gains / np.median(gains)).reshape(-1, 1)

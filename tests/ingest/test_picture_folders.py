@@ -136,7 +136,7 @@ def rename(old, new):
         (add("0003.jpg", "0003.png"), "0003.png: has the number 3, and so has 0003.jpg"),
         (add("3.png", "0003.png"), "has the number 3, and so has 0003.png"),
         (add("v2_0003.png", "0003.png"), "v2_0003.png: has the number 3, and so has 0003.png"),
-        (add("still.png", "0003.png"), "still.png: its name has no number"),
+        (add("still.png", "0003.png"), "still.png: its name has no frame number"),
         (add("other_0008.png", "0003.png"), "other_0008.png"),
         (rename("0004.png", "0004.HEIC"), "0004.HEIC: 1 of the folder's pictures are in formats that are not read"),
         (add("IMG_0100.dng"), "IMG_0100.dng: 1 of the folder's pictures are in formats"),

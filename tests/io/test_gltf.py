@@ -220,7 +220,7 @@ def test_a_sequence_reads_back_as_the_same_motion(tmp_path):
 @pytest.mark.parametrize(
     ("more", "says"),
     [
-        ([], "needs --frame-time"),
+        ([], "need --frame-time"),
         (["--frame-time", "0.1"], "always on"),
         (["--frame-time", "0.1", "--clip", "90", "91"], "no Gaussian can be seen"),
         (["--frame-time", "1e-9", "--clip", "0", "1"], "frames from"),

@@ -120,7 +120,7 @@ def test_a_sequence_of_the_wrong_clock_or_kind_is_asked_about(tmp_path):
     for name, files, said in (
         ("point", ["a_0.25.ply", "a_0.5.ply"], "or decimals"),
         ("two", ["a0.ply", "a1.ply", "b0.ply"], r"a0\.ply.*b0\.ply|b0\.ply.*a0\.ply"),
-        ("more", ["a0.ply", "a1.ply", "still.ply"], r"still\.ply: its name has no number"),
+        ("more", ["a0.ply", "a1.ply", "still.ply"], r"still\.ply: its name has no frame number"),
         ("sizes", ["a0_64x64.ply", "a1_64x64.ply", "a1_32x32.ply"], "a1_64x64.ply"),
     ):
         write(name, files, range(len(files)))
