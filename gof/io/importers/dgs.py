@@ -49,7 +49,8 @@ def read(source: Source, options: ImportOptions) -> Imported:
         at += columns[name].size * np.dtype(kind).itemsize
     start_s = options.time_zero_s
     notes = [
-        f"its times 0..1 taken as {start_s:g} to {start_s + clip_s:g} s (else gof convert RESULT --time-zero, --time-unit)",
+        f"its times 0..1 taken as {start_s:g} to {start_s + clip_s:g} s"
+        " (else gof convert RESULT --time-zero, --time-unit)",
         "its world taken as y up, in metres, and turned to Z up (else gof convert RESULT --align)",
     ]
     return Imported(_gaussians(columns, bounds, start_s, clip_s), "dgs", source.path, notes)
