@@ -111,12 +111,8 @@ def _clip_s(meta: dict[str, Any], options: ImportOptions) -> tuple[float, str]:
     clip_s = float(playback.get("duration", (USUAL_FRAMES - 1) / fps))
     if not 0 < clip_s < np.inf:
         raise DataFormatError(f"says that it lasts {clip_s} s")
-    return (
-        clip_s,
-        ""
-        if "duration" in playback
-        else ", as its players do for want of a duration (else gof convert RESULT --time-unit)",
-    )
+    without = ", as its players do for want of a duration (else gof convert RESULT --time-unit)"
+    return clip_s, "" if "duration" in playback else without
 
 
 class _Pictures:
