@@ -49,7 +49,7 @@ def test_the_study_shows_what_it_claims(tmp_path, capsys):
         "study_dve_linear",
         "study_dve_taylor-green",
     ]
-    assert "Monte Carlo, 1e2 to 1e6 samples" in texts(charts["study_dve_abc"])
+    assert "Monte Carlo, 100 to 1 000 000 samples" in texts(charts["study_dve_abc"])
     in_linear = [r for r in rows if r["flow"] == "linear" and (r["study"], r["k_sigma"]) in drawn]
     in_linear = [r for r in in_linear if r["study"] != "grid" or r["setting"].endswith("order 3")]
     assert sum(map(len, marks(charts["study_dve_linear"]).values())) == len(in_linear) == 12
