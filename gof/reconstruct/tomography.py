@@ -106,8 +106,12 @@ def round_flame(voxels: FlameVoxels, emission: np.ndarray) -> np.ndarray:
     view does not say where its middle is along the rays: as near to the world's axis as can be, in level layers. All 1
     where fewer than two of several views are from the side.
     """
-    rays = np.cross(voxels.jacobian[:, :, 0], voxels.jacobian[:, :, 1]).mean(1)
-    rays /= np.linalg.norm(rays, axis=1, keepdims=True)
+    rays = np.cross(voxels.jacobian[:, :, 0], voxels.jacobian[:, :, 1])
+    rays = np.where(np.isfinite(rays), rays, 0).sum(1)  # NaN: a voxel beside or behind the camera
+    length = np.linalg.norm(rays, axis=1)
+    rays = rays[length > 0] / length[length > 0, None]
+    if not len(rays):
+        return np.ones(len(emission))
     up = _upright(rays) if len(rays) > 1 else np.array([0.0, 0.0, 1.0])
     across = np.cross(up, rays)
     side = np.linalg.norm(across, axis=-1) > 0.1

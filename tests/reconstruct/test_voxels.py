@@ -109,6 +109,10 @@ def test_round_flame_needs_two_views_from_the_side():
     voxels = carve(cameras, masks[None], 12)
     even = np.ones(len(voxels.center))
     assert (round_flame(voxels, even) < 1).any()
+    behind = voxels.jacobian.copy()
+    behind[2, : len(even) // 3] = np.nan  # of voxels behind a camera
+    np.testing.assert_allclose(round_flame(replace(voxels, jacobian=behind), even), round_flame(voxels, even), atol=0.1)
+    assert (round_flame(replace(voxels, jacobian=np.full_like(behind, np.nan)), even) == 1).all()
     above = np.zeros_like(voxels.jacobian)
     above[:, :, 0, 0] = above[:, :, 1, 1] = 100.0  # x and y move the pixel, z does not: seen from above
     assert (round_flame(replace(voxels, jacobian=above), even) == 1).all()
