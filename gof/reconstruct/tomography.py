@@ -6,12 +6,16 @@ from typing import NamedTuple
 
 import numpy as np
 
-from gof.reconstruct.voxels import LAYERS_POOLED, FlameVoxels
+from gof.reconstruct.voxels import FlameVoxels
 
 SMOOTH = 0.6  # voxels, std-dev by which a compact flame is smoothed between two iterations
 POWER = 1.15  # that draws its light together in each; 1 leaves the hull's streaks along the rays
-WIDER = 1.3  # times a round flame's width: so wide it starts, as it is drawn together
+WIDER = 2.0  # times a round flame's depth: so deep it starts, as it is drawn together
+NEAR = 3.0  # voxels, std-dev: light so near to each other has its middle at the same depth
+OUTLINE = 0.15  # of the light around it: what is darker is outside a lick's outline
 FAINTEST = 40.0  # squared distances in std-devs beyond this are all the same; nothing in the hull is ruled out
+ONE_SIDE = 0.2  # by which the rays' first principal value exceeds the second: cameras less far around see all sides
+STEEP = np.sin(np.deg2rad(60))  # of the cameras' common direction
 
 
 def tomography(
@@ -97,57 +101,57 @@ def _in_unit(emission: np.ndarray, views: list[_PooledView]) -> np.ndarray:
 
 
 def round_flame(voxels: FlameVoxels, emission: np.ndarray) -> np.ndarray:
-    """Return (V,) in (0, 1]: a flame with a round Gaussian cross-section in every layer, as wide as the views say.
+    """Return (V,) in (0, 1]: light is near its middle along the rays, no further away than it is wide there.
 
-    Emission that reproduces the views has the right mean and variance across every viewing direction, whatever its
-    shape along it; the mean over the views of those variances is the round flame's, and its middle is the emission's:
-    views from nearly one side hardly say how far away that is, and the hull is all that bounds it. Layers lie along
-    the rays (`_upright`): in level ones, light that is drawn out along steep rays would be at wrong heights. A single
-    view does not say where its middle is along the rays: as near to the world's axis as can be, in level layers. All 1
-    where fewer than two of several views are from the side.
+    What cameras on one side leave open is how far light reaches along their common direction. Each lick and each sheet
+    is about as deep as the disc that fits into its outline is wide (its std-dev: half the disc's radius), and where its
+    middle is, emission that reproduces the views says, as the mean along the rays over a few voxels around. A single
+    view does not say where that is: as near to the world's axis as can be. All 1 where the cameras stand all around, or
+    look down steeply: a flame may be higher than wide.
+
+    Args:
+        emission: (V,) >= 0, that reproduces the views.
     """
     rays = np.cross(voxels.jacobian[:, :, 0], voxels.jacobian[:, :, 1])
     rays = np.where(np.isfinite(rays), rays, 0).sum(1)  # NaN: a voxel beside or behind the camera
     length = np.linalg.norm(rays, axis=1)
     rays = rays[length > 0] / length[length > 0, None]
-    if not len(rays):
+    common, axes = np.linalg.eigh(rays.T @ rays / max(len(rays), 1))
+    ahead = axes[:, 2]
+    if common[2] - common[1] < ONE_SIDE or abs(ahead[2]) > STEEP:
         return np.ones(len(emission))
-    up = _upright(rays) if len(rays) > 1 else np.array([0.0, 0.0, 1.0])
-    across = np.cross(up, rays)
-    side = np.linalg.norm(across, axis=-1) > 0.1
-    if side.sum() < min(2, len(side)):
-        return np.ones(len(emission))
-    from scipy.ndimage import gaussian_filter1d  # here: it takes long to load
+    from scipy.ndimage import gaussian_filter  # here: it takes long to load
 
-    across = across[side] / np.linalg.norm(across[side], axis=-1, keepdims=True)
-    height = voxels.center @ up
-    layer = np.round((height - height.min()) / voxels.voxel_size).astype(np.int64)
+    right = np.cross(ahead, [0.0, 0.0, 1.0]) / np.hypot(*ahead[:2])
+    place = voxels.center @ np.stack([right, np.cross(right, ahead)], -1) / voxels.voxel_size
+    across, up = np.round(place - place.min(0)).astype(np.int64).T
+    shape = across.max() + 1, up.max() + 1
+    column = across * shape[1] + up
+    depth = voxels.center @ ahead
 
-    def per_layer(values: np.ndarray) -> np.ndarray:
-        return gaussian_filter1d(np.bincount(layer, emission * values), LAYERS_POOLED, mode="nearest")
+    def look(values: np.ndarray) -> np.ndarray:
+        return np.bincount(column, values, shape[0] * shape[1]).reshape(shape)
 
-    weight = np.maximum(per_layer(np.ones(len(emission))), np.finfo(np.float32).tiny)
-    place = voxels.center @ across.T
-    mean = np.stack([per_layer(x) for x in place.T]) / weight
-    variance = np.stack([per_layer(x**2) for x in place.T]) / weight - mean**2
-    one = len(across) == 1
-    middle = mean.T @ across if one else np.stack([per_layer(x) for x in voxels.center.T], -1) / weight[:, None]
-    width2 = np.maximum(variance.mean(0), voxels.voxel_size**2)
-    away = voxels.center - middle[layer]
-    distance2 = (away**2).sum(-1) - (away @ up) ** 2
-    return np.exp(-0.5 * np.minimum(distance2 / width2[layer], FAINTEST))
+    light = look(emission)
+    around = np.maximum(gaussian_filter(light, NEAR), np.finfo(np.float32).tiny)
+    middle = (gaussian_filter(look(emission * depth), NEAR) / around).ravel()[column]
+    away = depth - middle if len(rays) > 1 else voxels.center[:, :2] @ ahead[:2] / np.hypot(*ahead[:2])
+    width = gaussian_filter(_inner_radius(light > OUTLINE * gaussian_filter(light, 2 * NEAR)), 1.0) / 2
+    away2 = (away / (np.maximum(width, 1) * voxels.voxel_size).ravel()[column]) ** 2
+    return np.exp(-0.5 * np.minimum(away2, FAINTEST))
 
 
-def _upright(rays: np.ndarray) -> np.ndarray:
-    """Return (3,), +z turned in the mean ray's upright plane until it is square to the rays (C, 3), of length 1.
+def _inner_radius(shape: np.ndarray) -> np.ndarray:
+    """(H, W) radius, px, of the largest disc within a shape (H, W) bool that holds each of its pixels; 0 outside."""
+    import cv2  # here: it takes long to load
 
-    The less, the further around the flame the cameras stand; not at all where they stand all around it.
-    """
-    level = rays[:, :2] / np.maximum(np.linalg.norm(rays[:, :2], axis=1, keepdims=True), np.finfo(float).tiny)
-    alike = np.linalg.norm(level.mean(0))  # 1 where all look the same way, 0 from all around
-    climb = np.arcsin(np.clip(rays[:, 2], -1, 1)).mean() * alike
-    forward = level.mean(0) / max(alike, np.finfo(float).tiny)
-    return np.array([*(-np.sin(climb) * forward), np.cos(climb)])
+    padded = np.pad(shape, 1).astype(np.uint8)
+    inside = cv2.distanceTransform(padded, cv2.DIST_L2, 5)
+    found = np.zeros_like(inside)
+    for radius in range(1, int(np.ceil(inside.max())) + 1):
+        disc = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * radius - 1, 2 * radius - 1))
+        found[cv2.dilate((inside >= radius - 0.5).astype(np.uint8), disc) > 0] = radius - 0.5
+    return found[1:-1, 1:-1]
 
 
 class _PooledView(NamedTuple):

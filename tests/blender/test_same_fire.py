@@ -49,6 +49,17 @@ def test_nothing_of_the_pictures_reaches_the_solver(tmp_path):
 
 
 @pytest.mark.blender
+def test_a_longer_clip_begins_as_the_short_one(tmp_path):
+    """Gusts and a moving burner included: the steps that two clips share are equal to the bit."""
+    fire = replace(TOY.fire, speeds="physical")
+    effects = (wind.Settings(gusts=0.5), moving_emitter.Settings())
+    short = baked(tmp_path / "short", clip=Clip(4, 50, 12), fire=fire, effects=effects)
+    long = baked(tmp_path / "long", clip=Clip(11, 50, 12), fire=fire, effects=effects)
+    assert len(long) == len(short) + 7
+    assert [name for name, grid in short.items() if long[name] != grid] == []
+
+
+@pytest.mark.blender
 @pytest.mark.parametrize(
     ("effects", "keyed"),
     [
