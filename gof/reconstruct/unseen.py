@@ -29,7 +29,7 @@ SATURATED, OFTEN = 0.95, 0.02  # linear light; the share of a flame's pixels
 THICKEST = 2e-3  # of the light that passes through: what is thicker is not told apart
 BLUR = 0.6  # px; voxels are points on a grid, and drawn on another one they would beat
 LEVELS = 48  # of the curve of light by thickness
-THIN = 1 / 6, 1 / 2  # of a flame's pixels: the thinnest tell nothing of how much light thin flame gives, these do
+THIN, SURE = 0.1, 0.5  # of the usual thickness: below the first it tells nothing of its light, up to the second it does
 
 
 class UnseenView(NamedTuple):
@@ -191,12 +191,13 @@ def _light_by_thickness(
     levels = np.array([np.median(thickness[level == k]) for k in used])
     curve = np.array([np.median(light[level == k], axis=0) for k in used])
     levels, curve = np.maximum(levels, 1e-12), np.maximum.accumulate(np.maximum(curve, 0))
-    thin = used < THIN[0] * len(edges)
-    sure = ~thin & (used < THIN[1] * len(edges))
+    # Masks reach beyond the flame, where pictures differ from their plates and tomography finds hardly any. All of the
+    # hull would glow in unseen views, so thin flame gives no more than a straight line of light per thickness says.
+    usual = np.average(thickness, weights=thickness) if thickness.any() else 0.0
+    thin = levels < THIN * usual
+    sure = ~thin & (levels < SURE * usual)
     if sure.sum() > 1:
-        # Masks reach beyond the flame, where pictures differ from their plates and tomography finds nothing. All of the
-        # hull would glow in unseen views, so thin flame gives no more light than a straight line of light per
-        # thickness allows.
-        fall, start = np.minimum(np.polyfit(levels[sure], curve[sure] / levels[sure, None], 1), [[0.0], [np.inf]])
-        curve[thin] = np.minimum(curve[thin], np.outer(levels[thin], start) + np.outer(levels[thin] ** 2, fall))
+        fall, start = np.polyfit(levels[sure], curve[sure] / levels[sure, None], 1)
+        little = levels[thin, None]
+        curve[thin] = np.minimum(curve[thin], np.maximum(start + np.minimum(fall, 0) * little, 0) * little)
     return np.concatenate([[0.0], levels]), np.concatenate([np.zeros((1, 3)), curve])
