@@ -32,6 +32,7 @@ class GenerateConfig:
     Examples:
       gof generate demo --out data/fire
       gof generate demo --estimate
+      gof generate ring.json --fire-of data/fire
 
     Stopped at any time, the same command goes on where it was; no finished frame is made twice.
     """
@@ -66,6 +67,8 @@ class GenerateConfig:
     tls: Path | None = None
     """Folder with cert.pem and key.pem for the scheduler. Without them, everyone who can reach the scheduler can run
     programs as you (docs/cluster.md)."""
+    fire_of: Path | None = None
+    """Dataset with this very fire, baked: seen by other cameras or elsewhere, it costs pictures only."""
     estimate: bool = False
     """Only predict time, memory and disk for this machine."""
 
@@ -86,6 +89,8 @@ def main(argv: list[str]) -> int:
         return 0
     log = StageLog(layout.costs)
     with claimed(layout, spec):
+        if config.fire_of:
+            _take_fire(layout, config.fire_of, spec)
         to_do = not layout.description.exists() or bool(config.views)
         if to_do:
             _make(spec, layout, log, config)
@@ -97,6 +102,13 @@ def main(argv: list[str]) -> int:
     write_figures({"dataset": str(layout.root), "wall_s": costs["wall_s"], "stages": costs["stages"]})
     print(f"dataset: {layout.root}")
     return 0
+
+
+def _take_fire(layout: Layout, other: Path, spec: SceneSpec) -> None:
+    try:
+        layout.take_fire_of(Layout(other), spec)
+    except SpecError as error:
+        raise GofError(f"{error} (--fire-of)") from error
 
 
 def _default_out(scene: str, spec: SceneSpec) -> Path:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import os
+import shutil
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -9,6 +11,9 @@ from ..core.checked_json import SpecError
 from ..core.files import read_json, write_json
 from . import spec as scene_spec
 from .spec import SceneSpec
+
+WHAT_BURNS = "seed", "clip", "domain", "fire", "effects"
+"""Fields of a spec on which its fire depends, or the flame's look; not cameras, surroundings and quality."""
 
 CUT_OFF = 0.05  # of the light of the widest section, from which a flame counts as cut off by the domain's side
 
@@ -99,6 +104,11 @@ class Layout:
     def bake_marker(self) -> Path:
         return self.hidden / "bake-finished.json"
 
+    @property
+    def lent(self) -> Path:
+        """Return the finished bake's marker of another dataset, whose fire this one takes over (`take_fire_of`)."""
+        return self.hidden / "lent-fire.json"
+
     def cached_velocity(self, blender_frame: int) -> Path:
         """Cache file that our solver writes last in a step."""
         return self.bake / "data" / f"vel_{blender_frame:04d}.uni"
@@ -141,6 +151,28 @@ class Layout:
             raise SpecError(f"{self.root}: cannot be made ({error.strerror}); choose another output folder") from error
         write_json(self.local_spec, spec.to_dict())
         write_json(self.inputs, self._stamps(spec))
+
+    def take_fire_of(self, other: Layout, spec: SceneSpec) -> None:
+        """Take over the finished bake of another dataset, so that this spec costs pictures only; call after `claim`.
+
+        The other dataset may be removed afterwards. Does nothing where this dataset is baked.
+
+        Raises SpecError: it has no finished bake, or another fire (what differs is named).
+        """
+        if self.bake_marker.is_file():
+            return
+        if not (other.bake_marker.is_file() and other.bake.is_dir() and other.blend.is_file()):
+            raise SpecError(f"{other.root}: holds no finished bake of a fire; it is in the dataset's .cache/bake")
+        theirs = scene_spec.load(other.local_spec if other.local_spec.is_file() else other.spec)
+        differs = [name for name in WHAT_BURNS if getattr(theirs, name) != getattr(spec, name)]
+        if spec.blend_file or theirs.blend_file:
+            raise SpecError("a fire in a scene of your own is baked with what stands in it; bake it again")
+        if differs or spec.timeline.last_frame > theirs.timeline.last_frame:
+            raise SpecError(f"{other.root}: another fire burns there ({', '.join(differs) or 'fewer steps'} differ)")
+        shutil.rmtree(self.bake, ignore_errors=True)
+        shutil.copytree(other.bake, self.bake, copy_function=_link_or_copy)
+        shutil.copyfile(other.blend, self.blend)
+        shutil.copyfile(other.bake_marker, self.lent)
 
     def require_free(self, spec: SceneSpec) -> None:
         """Raise SpecError where `claim` would; nothing is written."""
@@ -218,6 +250,14 @@ class Layout:
         kinds = self.PATTERNS | {"static": self.STATIC}
         kinds |= ({"flow": self.FLOW} if with_flow else {}) | ({"board_mask": self.BOARD_MASK} if with_board else {})
         return {kind: pattern.replace("{camera}", camera) for kind, pattern in kinds.items()}
+
+
+def _link_or_copy(source: str, target: str) -> None:
+    """One file under two names where the file system can: caches are large, and nothing writes into a finished one."""
+    try:
+        os.link(source, target)
+    except OSError:
+        shutil.copyfile(source, target)
 
 
 def leaving(layout: Layout) -> list[str]:

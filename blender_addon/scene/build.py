@@ -23,11 +23,27 @@ def scene(spec: SceneSpec) -> Any:
     current.frame_start, current.frame_end = spec.timeline.first_frame, spec.timeline.last_frame
     whole = round(spec.timeline.steps_per_second)
     current.render.fps, current.render.fps_base = whole, whole / spec.timeline.steps_per_second
-    backgrounds.build(spec, _collection("Background"))
-    rig.build(spec, _collection("Cameras"))
+    _stand_around(spec)
     objects = flame_source(spec).build(_collection("Fire"))
     render.configure(spec)
     return objects
+
+
+def replace_surroundings(spec: SceneSpec) -> None:
+    """Put this spec's surroundings and cameras in the place of those of the open scene, whose fire stays."""
+    for name in ("Background", "Cameras"):
+        for item in list(bpy.data.collections[name].all_objects):
+            bpy.data.objects.remove(item)
+        bpy.data.collections.remove(bpy.data.collections[name])
+    bpy.data.orphans_purge(do_recursive=True)
+    bpy.context.scene.name = spec.name
+    _stand_around(spec)
+    render.configure(spec)
+
+
+def _stand_around(spec: SceneSpec) -> None:
+    backgrounds.build(spec, _collection("Background"))
+    rig.build(spec, _collection("Cameras"))
 
 
 def _collection(name: str) -> bpy.types.Collection:

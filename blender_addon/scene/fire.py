@@ -117,8 +117,8 @@ def _emitter(spec: SceneSpec, collection: bpy.types.Collection) -> bpy.types.Obj
     flow.texture_map_type = "AUTO"
     flow.texture_size = 1.0
     offset = np.random.default_rng(spec.seed).uniform(0.0, 100.0)
-    # A key at every step: what Blender makes of two keys depends, in its last bit, on how far apart they are, and so the
-    # fire would depend on the clip's length. Specs of version 1 keep theirs.
+    # A key at every step: what Blender makes of two keys depends, in its last bit, on how far apart they are, and so
+    # the fire would depend on the clip's length. Specs of version 1 keep theirs.
     last = spec.timeline.last_frame
     for frame in (1, last) if spec.fire.speeds == "solver" else range(1, last + 1):
         flow.texture_offset = offset + 4.0 * spec.solver.drift * spec.timeline.solver_step_s * (frame - 1)

@@ -55,6 +55,12 @@ def bake(spec: SceneSpec, layout: Layout, progress: Reporter) -> None:
     from ..scene import build, extra_truth
     from ..scene.flame_source import flame_source
 
+    if layout.lent.is_file():
+        _open_blend(layout, during_bake=True)
+        build.replace_surroundings(spec)
+        _save_blend(layout)
+        os.replace(layout.lent, layout.bake_marker)
+        return progress(total, total)
     shutil.rmtree(layout.bake, ignore_errors=True)
     build.scene(spec)
     if spec.blend_file:

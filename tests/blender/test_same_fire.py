@@ -2,12 +2,17 @@
 
 import gzip
 import re
+import shutil
 from collections import defaultdict
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
 
+from gof.core.errors import GofError
+from gof.core.fields import VelocitySequence
+from gof_benchmark.commands.generate import main as generate_command
 from gof_benchmark.generator.blender_process import run_stage
 from gof_benchmark.scenes import claim
 from gof_blender.pure import spec as scene_spec
@@ -57,6 +62,44 @@ def test_a_longer_clip_begins_as_the_short_one(tmp_path):
     long = baked(tmp_path / "long", clip=Clip(11, 50, 12), fire=fire, effects=effects)
     assert len(long) == len(short) + 7
     assert [name for name, grid in short.items() if long[name] != grid] == []
+
+
+@pytest.mark.blender
+def test_a_fire_of_another_dataset_seen_anew_is_the_dataset_made_from_nothing(tmp_path):
+    """Other cameras, surroundings and samples: pictures and velocity equal to the bit, the first dataset removed."""
+    pytest.importorskip("bpy", reason="the generator needs the bpy wheel")
+    first = replace(TOY, clip=Clip(3, 60, 14))
+    render = replace(TOY.render, samples=2)
+    seen_anew = replace(
+        first, name="anew", cameras=Rig(count=2, eval_count=1, azimuth_deg=20), background="ground", render=render
+    )
+    for name, spec in (("first", first), ("anew", seen_anew), ("other", replace(seen_anew, seed=TOY.seed + 1))):
+        scene_spec.save(spec, tmp_path / f"{name}.json")
+    claim(Layout(tmp_path / "first"), first)
+    run_stage("bake", tmp_path / "first")
+    with pytest.raises(GofError, match="another fire burns there .seed differ"):
+        generate(tmp_path, "other", "other", "--fire-of", str(tmp_path / "first"))
+    with pytest.raises(GofError, match="holds no finished bake"):
+        generate(tmp_path, "anew", "lent", "--fire-of", str(tmp_path / "nowhere"))
+    layout = Layout(tmp_path / "lent")
+    claim(layout, seen_anew)
+    layout.take_fire_of(Layout(tmp_path / "first"), seen_anew)
+    shutil.rmtree(tmp_path / "first")
+    for name in ("lent", "direct"):
+        generate(tmp_path, "anew", name)
+    assert not list(layout.hidden.glob("lent*")) and Layout(tmp_path / "direct").bake_marker.is_file()
+    pictures = [path.relative_to(layout.root) for path in layout.root.rglob("*.png")]
+    assert len(pictures) >= 3 * 3 * 2
+    for path in pictures:
+        assert (tmp_path / "direct" / path).read_bytes() == (layout.root / path).read_bytes(), path
+    lent, direct = (VelocitySequence.open(tmp_path / name / "velocity.zarr") for name in ("lent", "direct"))
+    assert np.abs(direct.cells(1)).max() > 0
+    for frame in range(3):
+        np.testing.assert_array_equal(lent.cells(frame), direct.cells(frame))
+
+
+def generate(folder: Path, spec: str, out: str, *options: str) -> None:
+    assert generate_command([str(folder / f"{spec}.json"), "--out", str(folder / out), *options]) == 0
 
 
 @pytest.mark.blender
