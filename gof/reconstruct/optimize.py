@@ -19,6 +19,7 @@ from gof.core.gaussians import TransientGaussians
 from gof.reconstruct.checkpoint import Spent, load_checkpoint, save_checkpoint
 from gof.reconstruct.density import DensityControl
 from gof.reconstruct.methods import LAST_SHARE, Rates, cameras_extent
+from gof.reconstruct.needles import blunt, is_one_sided
 from gof.reconstruct.observation import Observation
 from gof.reconstruct.parameters import Raw, alight, from_raw, per_gaussian, splats, to_raw
 from gof.reconstruct.surroundings import Drawn, Surroundings
@@ -34,6 +35,7 @@ STEEPEST = 0.25  # slope of a colour by its logit, at middle grey
 PLAIN_PLATES = 0.05, 0.35  # display values of the plates that a flame is put over
 CHECK_EVERY = 50  # steps between looks at the loss (a synchronisation) and at NaN
 CHECKPOINT_EVERY = 500
+BLUNT_EVERY = 250  # steps; of these, CHECKPOINT_EVERY is a multiple, so that a resumed run is the same
 EVALUATE_AT = (250, 500, 1000, 2000, 4000, 7000, 15_000, 30_000)  # and at the last step; the paper's are 1k, 7k, 30k
 
 
@@ -199,6 +201,8 @@ class Flame:
         self._kept: dict[str, Any] = {"datum": seeds.datum}
         if not schedule.density_control:
             self._kept |= {"gas_velocity": gas_velocity, "velocity_sd": seeds.velocity_sd}
+        # What the side misses of a needle, its views light again.
+        self._blunts = schedule.unseen > 0 and is_one_sided(self.cameras, np.median(seeds.position, axis=0))
         self.start_s = float(self.read_s.min())
         plates = surroundings.unknowns()
         raw = to_raw(seeds, self.voxel_size, self.start_s, schedule.color_of_light) | plates
@@ -255,9 +259,20 @@ class Flame:
             self._density.watch(step, frame, self.cameras[c], dr.width(self.optimizer["t_mu"]))
 
     def change(self, step: int) -> None:
-        """After a step: density control, where the method has it."""
+        """After a step: density control, where the method has it, and needles cut."""
         if self._density is not None:
             self._density.change(step, self.optimizer)
+        if self._blunts and (step + 1) % BLUNT_EVERY == 0:
+            self._blunt()
+
+    def _blunt(self) -> None:
+        """Cut needles along the rays; the moments stay, of shapes that are as they were but for a few."""
+        raw = {name: self.optimizer[name] for name in per_gaussian(self.optimizer)}
+        eye = np.mean([camera.position for camera in self.cameras], axis=0)
+        blunted = blunt(from_raw(raw, self.voxel_size, self.start_s), eye)
+        raw = to_raw(blunted, self.voxel_size, self.start_s, color_of_light="color_logit" in raw)
+        for name in ("scale", "rotation"):
+            self.optimizer[name] = raw[name]
 
     def state(self) -> tuple[TransientGaussians, list[np.ndarray]]:
         """See `Surroundings.result`."""
