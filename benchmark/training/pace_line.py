@@ -24,15 +24,13 @@ import numpy as np
 import tyro
 
 from gof.core.errors import GofError
-from gof.core.fields import SAME_TIME_S
 from gof.core.files import only_run_in, read_json, write_json
 from gof.dataset import Dataset
 from gof.reconstruct.flame_axis import FlameAxis
-from gof.reconstruct.flow_field import FlowField, FrameField
 from gof.reconstruct.flow_prior import FlowPrior
 from gof.reconstruct.log_light import LogLight
 from gof.reconstruct.observation import observe
-from gof.reconstruct.pace import GRAVITY, STIFFNESS, USUAL, Pace, PaceClues
+from gof.reconstruct.pace import USUAL, Pace, PaceClues
 from gof.reconstruct.several_flames import alone, several_flames
 from gof_benchmark.training.factory.draws import Draw
 from gof_benchmark.training.factory.fire import PoorFireError, Recording, make_fire
@@ -59,7 +57,7 @@ class SeenFire:
     Attributes:
         name: of its file.    source: "dev" or "factory".    kind: of `draws.KINDS`, or "openfoam".
         law: of `light.LAWS`; "cycles" of a dataset.
-        clues, unsteady, paces: of each of its flames; see `unsteadiness`; true paces, m/s.
+        clues, paces: of each of its flames; true paces, m/s.
     """
 
     name: str
@@ -67,7 +65,6 @@ class SeenFire:
     kind: str
     law: str
     clues: tuple[PaceClues, ...]
-    unsteady: tuple[float, ...]
     paces: tuple[float, ...]
 
     @classmethod
@@ -78,8 +75,8 @@ class SeenFire:
             return None
         flames = kept["flames"]
         clues = tuple(PaceClues(**flame["clues"]) for flame in flames)
-        unsteady, paces = (tuple(flame[name] for flame in flames) for name in ("unsteady", "pace"))
-        return cls(path.stem, kept["source"], kept["kind"], kept["law"], clues, unsteady, paces)
+        paces = tuple(flame["pace"] for flame in flames)
+        return cls(path.stem, kept["source"], kept["kind"], kept["law"], clues, paces)
 
 
 def keep(path: Path, traits: dict[str, str], opened: Callable[[], Recording | Dataset]) -> str:
@@ -127,9 +124,7 @@ def seen(fire: Recording | Dataset) -> list[dict]:
     for part in (alone(field, own == k) for k in range(own.max() + 1)):
         axis, pace = FlameAxis.of(part), mean_speed(truth, part.emission)
         if axis is not None and pace > 0:
-            clues = PaceClues.of(axis, LogLight.of(part))
-            unsteady = unsteadiness(part, WINDOW * clues.buoyant / GRAVITY)
-            flames.append({"clues": asdict(clues), "unsteady": unsteady, "pace": pace})
+            flames.append({"clues": asdict(PaceClues.of(axis, LogLight.of(part))), "pace": pace})
     if not flames:
         raise PoorFireError("nothing is seen to move")
     return flames
@@ -140,98 +135,40 @@ def seen(fire: Recording | Dataset) -> list[dict]:
 SHIPPED = FlowPrior.load().pace
 
 
-@dataclass(frozen=True)
-class Line:
-    """A line of the product, and what is added to its logarithm: a constant, and a weight for unsteadiness."""
-
-    pace: Pace
-    constant: float = 0.0
-    weight: float = 0.0
-
-    def errors(self, fire: SeenFire) -> np.ndarray:
-        """Return the log of estimated over true pace of each flame; those side by side share what is added."""
-        found = np.log(self.pace.side_by_side(fire.clues))
-        return found + self.constant + self.weight * np.mean(unsteady_logs(fire)) - np.log(fire.paces)
+def errors(line: Pace, fire: SeenFire) -> np.ndarray:
+    """Return the log of estimated over true pace of each flame."""
+    return np.log(line.side_by_side(fire.clues)) - np.log(fire.paces)
 
 
-def unsteady_logs(fire: SeenFire) -> np.ndarray:
-    """Return the logarithm of each flame's unsteadiness over the usual."""
-    return np.clip(np.log(np.maximum(fire.unsteady, 1e-9) / USUAL_UNSTEADY), -FARTHEST, FARTHEST)
+def with_metric(*weights: float) -> Pace:
+    """Return a line of these weights, metres known or not."""
+    return Pace(*[np.array(weights)] * 2)
 
 
-def anew(fires: Sequence[SeenFire]) -> Line:
-    """Return the line of the product's clues through these fires alone."""
-    clues = [c for fire in fires for c in fire.clues]
-    return Line(Pace.fit(clues, [pace for fire in fires for pace in fire.paces]))
+def anew(fires: Sequence[SeenFire]) -> Pace:
+    """Return the line through these fires alone."""
+    return Pace.fit([c for fire in fires for c in fire.clues], [pace for fire in fires for pace in fire.paces])
 
 
-def moved(fires: Sequence[SeenFire]) -> Line:
+def moved(fires: Sequence[SeenFire]) -> Pace:
     """Return the shipped line with the constant that these fires ask for."""
-    return Line(SHIPPED, -float(np.mean(np.concatenate([Line(SHIPPED).errors(fire) for fire in fires]))))
+    constant, *slopes = SHIPPED.metric
+    return with_metric(constant - np.mean(np.concatenate([errors(SHIPPED, fire) for fire in fires])), *slopes)
 
 
-def with_unsteadiness(fires: Sequence[SeenFire]) -> Line:
-    """Return the shipped line with the constant and the weight of unsteadiness that these fires ask for, by ridge."""
-    left = -np.concatenate([Line(SHIPPED).errors(fire) for fire in fires])
-    design = np.concatenate([[[1, np.mean(unsteady_logs(fire))]] * len(fire.paces) for fire in fires])
-    penalty = STIFFNESS * np.diag([1e-6, 1])
-    return Line(SHIPPED, *np.linalg.solve(design.T @ design + penalty, design.T @ left).tolist())
-
-
-LINES: dict[str, Callable[[Sequence[SeenFire]], Line]] = {
-    "shipped": lambda fires: Line(SHIPPED),
-    "buoyancy": lambda fires: Line(Pace(*[np.array([np.log(USUAL[0]), 1.0, 0, 0, 0])] * 2)),
+LINES: dict[str, Callable[[Sequence[SeenFire]], Pace]] = {
+    "shipped": lambda fires: SHIPPED,
+    "without unsteadiness": lambda fires: with_metric(*SHIPPED.metric[:5], 0),
+    "buoyancy": lambda fires: with_metric(np.log(USUAL[0]), 1, 0, 0, 0, 0),
     "anew": anew,
     "shipped, moved": moved,
-    "and unsteadiness": with_unsteadiness,
 }
-"""What may be done with fires whose pace is known; the first two learn nothing from them."""
+"""What may be done with fires whose pace is known; the first three learn nothing from them."""
 
 
 def rms(values: Iterable[np.ndarray]) -> float:
     """Return the root mean square of arrays joined."""
     return float(np.sqrt(np.mean(np.square(np.concatenate(list(values))))))
-
-
-# ---- A clue that is tried -------------------------------------------------------------------------------------------
-
-WINDOW = 0.2  # of the buoyant speed over gravity: the time in which a motion is asked how unsteady it is
-FEWEST = 3  # frames that say it
-USUAL_UNSTEADY = 0.14
-FARTHEST = np.log(2.0)  # more or less than that times the usual counts no more
-
-
-def unsteadiness(field: FlowField, window_s: float) -> float:
-    """Return the RMS of the seen velocity about each voxel's mean in a window of time, over its RMS; by emission.
-
-    Over all windows of the clip, so that a long clip is no less steady than a short one; over the whole of one that is
-    shorter than the window.
-    Returns:
-        0 to 1; `USUAL_UNSTEADY` where nothing moves or shines, or no window holds `FEWEST` frames.
-    """
-    reach = min(window_s, field.frames[-1].time_s - field.frames[0].time_s)
-    light, momentum, energy = np.zeros(len(field.voxels.center)), np.zeros((len(field.voxels.center), 3)), 0.0
-    unsteady = whole = 0.0
-    first = 0
-    for last, frame in enumerate(field.frames):
-        gained, moved, motion = _momentum(frame)
-        light, momentum, energy = light + gained, momentum + moved, energy + motion
-        while frame.time_s - field.frames[first].time_s > reach + SAME_TIME_S:
-            gained, moved, motion = _momentum(field.frames[first])
-            light, momentum, energy = light - gained, momentum - moved, energy - motion
-            first += 1
-        full = frame.time_s - field.frames[0].time_s >= reach - SAME_TIME_S
-        if full and last - first + 1 >= FEWEST:
-            lit = light > 1e-9 * light.max()
-            unsteady += energy - float(((momentum[lit] ** 2).sum(1) / light[lit]).sum())
-            whole += energy
-    return float(np.sqrt(np.clip(unsteady / whole, 0, 1))) if whole > 0 else USUAL_UNSTEADY
-
-
-def _momentum(frame: FrameField) -> tuple[np.ndarray, np.ndarray, float]:
-    """Return emission (V,), that times velocity (V, 3), and the sum of that times its square."""
-    moved = frame.emission[:, None] * frame.velocity
-    return frame.emission, moved, float((moved * frame.velocity).sum())
 
 
 # ---- Tables ---------------------------------------------------------------------------------------------------------
@@ -248,7 +185,7 @@ def learning_curve(fires: Sequence[SeenFire]) -> str:
             known, left = ([fires[i] for i in part] for part in (order[:count], order[count:]))
             for name, line in LINES.items():
                 fitted = line(known)
-                off[name].append(rms(fitted.errors(fire) for fire in left))
+                off[name].append(rms(errors(fitted, fire) for fire in left))
         lines.append(f"| {count} | {' | '.join(f'{np.mean(off[name]):.3f}' for name in LINES)} |")
         count *= 2
     return "\n".join(lines)
@@ -265,7 +202,7 @@ def left_out(fires: Sequence[SeenFire], trait: Callable[[SeenFire], str]) -> str
         cells = []
         for name, line in LINES.items():
             fitted = line(others)
-            off = [fitted.errors(fire) for fire in mine]
+            off = [errors(fitted, fire) for fire in mine]
             everything[name] += off
             cells.append(f"{rms(off):.3f} ({np.mean(np.concatenate(off)):+.2f})")
         lines.append(f"| {group} | {len(mine)} | {' | '.join(cells)} |")

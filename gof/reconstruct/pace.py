@@ -2,14 +2,16 @@
 
 Texture lags behind the gas by a factor that is much the same all over one flame and differs from flame to flame: 0.8 to
 4 on the benchmark's. A clip says little of it, and a hundred flames are not at hand to learn it from, so it is a
-straight line in logarithms through four clues that physics names:
+straight line in logarithms through five clues that physics names:
 
 - what buoyancy would make of a flame of this length, if lengths are metres: hot gas cannot choose its speed;
 - how slender the flame is: a jet is faster than buoyancy, and a squat flame that is fed from all sides slower;
 - how much of the seen motion carries its texture with it: where light rather goes out and on again in place, optical
   flow reads much of that as motion, and the gas is slower than it looks;
 - how upright the moving texture is: smooth sheets that stand along the flow hide its speed (the aperture problem), and
-  the gas is faster than it looks.
+  the gas is faster than it looks;
+- how unsteady the seen motion is: where it changes while it is looked at, as in a fast jet, flow loses its texture and
+  the gas is faster than it looks. A steady motion says nothing.
 """
 
 from __future__ import annotations
@@ -20,13 +22,19 @@ from itertools import pairwise
 
 import numpy as np
 
+from gof.core.fields import SAME_TIME_S
 from gof.reconstruct.flame_axis import FlameAxis
+from gof.reconstruct.flow_field import FlowField, FrameField
 from gof.reconstruct.log_light import LogLight, slope
 
 GRAVITY = 9.81  # m/s2
 LAW = 2.18  # of sqrt(g z): McCaffrey's 6.83 sqrt(z) on the axis of the continuous flame (NBSIR 79-1910)
-USUAL = np.array([4.0, 0.14, 0.6, 0.7])  # of the clues; logarithms are taken from there
+USUAL = np.array([4.0, 0.14, 0.6, 0.7, 0.14])  # of the clues; logarithms are taken from there
 FARTHEST = np.log(4.0)  # a clue stranger than that counts no more: no flame of the benchmark is
+LOWEST = np.array([-FARTHEST, -FARTHEST, -FARTHEST, -FARTHEST, 0.0])
+HIGHEST = np.array([FARTHEST, FARTHEST, FARTHEST, FARTHEST, np.log(2.0)])
+WINDOW = 0.2  # of the buoyant speed over gravity: the time in which a motion is asked how unsteady it is
+FEWEST = 3  # frames that say it
 STIFFNESS = 0.05  # of the fit: as much as a twentieth of a flame that says "all clues mean nothing"
 ROUNDING = 1e-20  # mean square of differences of logarithms that are nothing but rounding
 TEXTURE = 1.5  # voxels, std-dev of the light that is looked at
@@ -43,6 +51,7 @@ class PaceClues:
         slenderness: the flame's radius over its length.
         texture: slope of the moving texture along the axis over its slope across; 0 for upright sheets.
         energy: how much there is to see of it, > 0: its light times the square of its seen speed, in any unit.
+        unsteady: see `unsteadiness`; 0 to 1.
     """
 
     seen: float
@@ -51,6 +60,7 @@ class PaceClues:
     slenderness: float
     texture: float
     energy: float
+    unsteady: float
 
     @classmethod
     def of(cls, axis: FlameAxis, log_light: LogLight) -> PaceClues:
@@ -61,13 +71,15 @@ class PaceClues:
             slenderness=axis.radius / axis.length,
             texture=texture_along(axis, log_light),
             energy=float(axis.mean_light.sum()) * axis.seen_speed**2,
+            unsteady=unsteadiness(log_light.field, WINDOW * buoyant_speed(axis) / GRAVITY),
         )
 
     @property
     def logs(self) -> np.ndarray:
-        """(4,) logarithms over the usual: buoyant over seen, slenderness, carried over seen, texture."""
-        ratios = np.array([self.buoyant / self.seen, self.slenderness, self.carried / self.seen, self.texture])
-        return np.clip(np.log(np.maximum(ratios, 1e-9) / USUAL), -FARTHEST, FARTHEST)
+        """(5,) logarithms over the usual: buoyant over seen, slenderness, carried over seen, texture, unsteadiness."""
+        buoyant, carried = self.buoyant / self.seen, self.carried / self.seen
+        ratios = np.array([buoyant, self.slenderness, carried, self.texture, self.unsteady])
+        return np.clip(np.log(np.maximum(ratios, 1e-9) / USUAL), LOWEST, HIGHEST)
 
 
 def buoyant_speed(axis: FlameAxis) -> float:
@@ -116,13 +128,46 @@ def texture_along(axis: FlameAxis, log_light: LogLight) -> float:
     return float(np.sqrt(max(along, 1e-6 * total) / max(across, 1e-6 * total)))
 
 
+def unsteadiness(field: FlowField, window_s: float) -> float:
+    """Return the RMS of the seen velocity about each voxel's mean in a window of time, over its RMS; by emission.
+
+    Over all windows of the clip, so that a long clip is no less steady than a short one; over the whole of one that is
+    shorter than the window.
+    Returns:
+        0 to 1; `USUAL` where nothing moves or shines, or no window holds `FEWEST` frames.
+    """
+    reach = min(window_s, field.frames[-1].time_s - field.frames[0].time_s)
+    light, momentum, energy = np.zeros(len(field.voxels.center)), np.zeros((len(field.voxels.center), 3)), 0.0
+    unsteady = whole = 0.0
+    first = 0
+    for last, frame in enumerate(field.frames):
+        gained, moved, motion = _momentum(frame)
+        light, momentum, energy = light + gained, momentum + moved, energy + motion
+        while frame.time_s - field.frames[first].time_s > reach + SAME_TIME_S:
+            gained, moved, motion = _momentum(field.frames[first])
+            light, momentum, energy = light - gained, momentum - moved, energy - motion
+            first += 1
+        full = frame.time_s - field.frames[0].time_s >= reach - SAME_TIME_S
+        if full and last - first + 1 >= FEWEST:
+            lit = light > 1e-9 * light.max()
+            unsteady += energy - float(((momentum[lit] ** 2).sum(1) / light[lit]).sum())
+            whole += energy
+    return float(np.sqrt(np.clip(unsteady / whole, 0, 1))) if whole > 0 else float(USUAL[4])
+
+
+def _momentum(frame: FrameField) -> tuple[np.ndarray, np.ndarray, float]:
+    """Return emission (V,), that times velocity (V, 3), and the sum of that times its square."""
+    moved = frame.emission[:, None] * frame.velocity
+    return frame.emission, moved, float((moved * frame.velocity).sum())
+
+
 @dataclass(frozen=True)
 class Pace:
     """A line: log of (mean speed of the gas over the seen one) = weights . (1, clues).
 
     Attributes:
-        metric: (5,) where lengths are metres and times seconds.
-        unitless: (5,) where nobody knows that; nothing for buoyancy.
+        metric: (6,) where lengths are metres and times seconds.
+        unitless: (6,) where nobody knows that; nothing for buoyancy, nor for unsteadiness, whose window needs seconds.
     """
 
     metric: np.ndarray
@@ -153,7 +198,7 @@ class Pace:
         """The line through flames whose mean speed, m/s, is known (ridge regression; the constant is free)."""
         design = np.stack([[1, *flame.logs] for flame in clues])
         factor = np.log([true / flame.seen for true, flame in zip(speed, clues, strict=True)])
-        return cls(_ridge(design, factor), _ridge(design * [1, 0, 1, 1, 1], factor))
+        return cls(_ridge(design, factor), _ridge(design * [1, 0, 1, 1, 1, 0], factor))
 
 
 def _ridge(design: np.ndarray, values: np.ndarray) -> np.ndarray:

@@ -92,7 +92,7 @@ def test_a_flame_on_its_side_moves_on_its_side(prior):
     np.testing.assert_allclose(result.velocity, expected, rtol=1e-3, atol=1e-4)
 
 
-LINE = np.array([np.log(3.0), 0, 0, 0, 0])  # the gas is three times as fast as what is seen
+LINE = np.array([np.log(3.0), 0, 0, 0, 0, 0])  # the gas is three times as fast as what is seen
 
 
 def giving(vector: int, coefficient: float, uncertainty: float = 0.0) -> FlowPrior:

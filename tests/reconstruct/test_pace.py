@@ -7,8 +7,18 @@ import pytest
 
 from gof.reconstruct.flame_axis import FlameAxis
 from gof.reconstruct.flow_field import FlowField
+from gof.reconstruct.flow_prior import FlowPrior
 from gof.reconstruct.log_light import LogLight
-from gof.reconstruct.pace import FARTHEST, USUAL, Pace, PaceClues, buoyant_speed, carried_speed, texture_along
+from gof.reconstruct.pace import (
+    FARTHEST,
+    USUAL,
+    Pace,
+    PaceClues,
+    buoyant_speed,
+    carried_speed,
+    texture_along,
+    unsteadiness,
+)
 from tests.reconstruct.plumes import box_of_voxels, field_of
 
 STEP_S = 0.01  # between the frames of field_of
@@ -79,20 +89,86 @@ def test_a_steady_flame_says_nothing_of_its_texture():
     assert texture_along(FlameAxis.of(field), LogLight.of(field)) == USUAL[3]
 
 
+def swaying(sideways: float) -> FlowField:
+    """The column, whose light in four frames also goes right, left, right, left at a speed, m/s."""
+    still = column()
+    voxels, emission = still.voxels, still.frames[0].emission
+    velocity = [np.broadcast_to([sideways * (-1) ** f, 0, 0.5], voxels.center.shape) for f in range(4)]
+    return field_of(voxels, velocity, [emission] * 4)
+
+
+@pytest.mark.parametrize("sideways", [0.0, 0.25, 2.0])
+def test_unsteadiness_of_a_column_that_sways(sideways):
+    """Its mean is the rise; what is left is the sway."""
+    assert unsteadiness(swaying(sideways), 1.0) == pytest.approx(sideways / np.hypot(sideways, 0.5), abs=1e-6)
+
+
+def test_unsteadiness_twin():
+    """The same, voxel by voxel, of motion and light without any order."""
+    rng = np.random.default_rng(1)
+    voxels = box_of_voxels((3, 2, 4), 0.1)
+    velocity, emission = rng.normal(0.3, 1, (5, 24, 3)), rng.uniform(0, 1, (5, 24)) * (rng.random((5, 24)) > 0.3)
+    left = whole = 0.0
+    for v in range(24):
+        if not emission[:, v].any():
+            continue
+        mean = sum(e * u for e, u in zip(emission[:, v], velocity[:, v], strict=True)) / sum(emission[:, v])
+        for e, u in zip(emission[:, v], velocity[:, v], strict=True):
+            left += e * sum((u - mean) ** 2)
+            whole += e * sum(u**2)
+    assert unsteadiness(field_of(voxels, velocity, emission), 1.0) == pytest.approx((left / whole) ** 0.5, rel=1e-9)
+
+
+def test_a_window_forgets_what_is_past():
+    """A column that goes right for six frames and left for six: in three frames it is steady, but about the turn."""
+    still = column()
+    voxels, emission = still.voxels, still.frames[0].emission
+    turned = [np.broadcast_to([0.25 if f < 6 else -0.25, 0, 0.5], voxels.center.shape) for f in range(12)]
+    field = field_of(voxels, turned, [emission] * 12)
+    whole = 0.25**2 + 0.5**2
+    assert unsteadiness(field, 1.0) == pytest.approx(0.25 / whole**0.5, rel=1e-6)
+    about_the_turn = 2 * (1 - (1 / 3) ** 2) * 0.25**2 / (10 * whole)  # two of ten windows, mean a third of the speed
+    assert unsteadiness(field, 2 * STEP_S) == pytest.approx(about_the_turn**0.5, rel=1e-6)
+
+
+def test_two_frames_say_nothing_of_how_unsteady_a_motion_is():
+    """Nor does a flame that is not seen to move; a steady one does."""
+    field = swaying(0.25)
+    assert unsteadiness(FlowField(field.voxels, field.frames[:2]), 1.0) == USUAL[4]
+    assert unsteadiness(field, 1.5 * STEP_S) == USUAL[4]
+    assert unsteadiness(column(seen=0.0), 1.0) == USUAL[4]
+    assert unsteadiness(column(), 1.0) == pytest.approx(0, abs=1e-6)
+
+
+def test_clues_ask_how_unsteady_a_motion_is_in_a_fifth_of_its_buoyant_time():
+    """0.2 v / g, 0.1 s for this column: a turn after each 0.02 s is in every window, one after 0.5 s in an eighth."""
+    still = column()
+    voxels, emission = still.voxels, still.frames[0].emission
+
+    def turning(every: int) -> float:
+        turned = [np.broadcast_to([0.25 * (-1) ** (f // every), 0, 0.5], voxels.center.shape) for f in range(100)]
+        return clues_of(field_of(voxels, turned, [emission] * 100)).unsteady
+
+    assert turning(2) == pytest.approx(0.25 / np.hypot(0.25, 0.5), rel=0.05)
+    assert turning(50) < 0.4 * turning(2)
+
+
+LINE = np.array([0.6, 0.9, -0.4, 0.3, -0.5, 0.7])
+
+
 def test_a_line_is_found_again():
     """Flames that obey a line exactly, and one far from them that obeys it too."""
     flames = [
-        PaceClues(seen, seen * law, seen * carried, slenderness, texture, 1.0)
-        for seen, law, carried, slenderness, texture in np.random.default_rng(0).uniform(
-            [0.1, 2, 0.2, 0.05, 0.3], [3, 8, 1, 0.3, 1.5], (30, 5)
+        PaceClues(seen, seen * law, seen * carried, slenderness, texture, 1.0, unsteady)
+        for seen, law, carried, slenderness, texture, unsteady in np.random.default_rng(0).uniform(
+            [0.1, 2, 0.2, 0.05, 0.3, 0.05], [3, 8, 1, 0.3, 1.5, 0.4], (30, 6)
         )
     ]
-    line = np.array([0.6, 0.9, -0.4, 0.3, -0.5])
-    true = [flame.seen * np.exp(line @ [1, *flame.logs]) for flame in flames]
+    true = [flame.seen * np.exp(LINE @ [1, *flame.logs]) for flame in flames]
     fitted = Pace.fit(flames, true)
     assert fitted.of(flames[0]) == pytest.approx(true[0], rel=0.05)
-    far = PaceClues(9.0, 9.0 * 12, 9.0 * 1.5, 0.04, 0.2, 1.0)
-    assert fitted.of(far) == pytest.approx(far.seen * np.exp(line @ [1, *far.logs]), rel=0.1)
+    far = PaceClues(9.0, 9.0 * 12, 9.0 * 1.5, 0.04, 0.2, 1.0, 0.6)
+    assert fitted.of(far) == pytest.approx(far.seen * np.exp(LINE @ [1, *far.logs]), rel=0.1)
 
 
 def test_one_flame_is_enough_and_says_only_its_factor():
@@ -104,13 +180,35 @@ def test_one_flame_is_enough_and_says_only_its_factor():
 
 @pytest.mark.parametrize("size", [1e-3, 1e3])
 def test_without_metres_the_unit_of_length_does_not_matter(size):
-    pace = Pace(np.array([0.5, 0.8, -0.4, 0.3, -0.5]), np.array([0.5, 0.0, -0.4, 0.3, -0.5]))
-    same = pace.of(clues_of(column(bands=rising)), metres=False)
+    same = PACE.of(clues_of(column(bands=rising)), metres=False)
     larger = clues_of(column(1.5 * size, 0.5 * size, 0.05 * size, lambda z, t: rising(z / size, t)))
-    assert pace.of(larger, metres=False) / size == pytest.approx(same, rel=1e-6)
+    assert PACE.of(larger, metres=False) / size == pytest.approx(same, rel=1e-6)
 
 
-PACE = Pace(np.array([0.5, 0.8, -0.4, 0.3, -0.5]), np.array([0.5, 0.0, -0.4, 0.3, -0.5]))
+PACE = Pace(LINE, LINE * [1, 0, 1, 1, 1, 0])
+
+
+@pytest.mark.parametrize(("unsteady", "factor"), [(0, 1), (0.1, 1), (0.14, 1), (0.2, (10 / 7) ** 0.7), (0.9, 2**0.7)])
+def test_an_unsteady_motion_makes_the_gas_faster_and_a_steady_one_says_nothing(unsteady, factor):
+    """Up to twice the usual; nothing where nobody knows seconds."""
+    usual = replace(clues_of(column(bands=rising)), unsteady=0.14)
+    asked = replace(usual, unsteady=unsteady)
+    assert PACE.of(asked) / PACE.of(usual) == pytest.approx(factor)
+    assert PACE.of(asked, metres=False) == PACE.of(usual, metres=False)
+
+
+@pytest.mark.parametrize(
+    ("clue", "sign"), [("buoyant", 1), ("slenderness", -1), ("carried", 1), ("texture", -1), ("unsteady", 1)]
+)
+def test_the_shipped_line_is_monotone_in_every_clue(clue, sign):
+    """As physics says, from a tenth to ten times the usual; never more than 20 times or less than a 20th of it."""
+    shipped = FlowPrior.load().pace
+    usual = PaceClues(1.0, 4.0, 0.6, 0.14, 0.7, 1.0, 0.14)
+    factors = np.geomspace(0.1, 10, 9)
+    paces = [shipped.of(replace(usual, **{clue: getattr(usual, clue) * factor})) for factor in factors]
+    steps = sign * np.diff(np.log(paces))
+    assert (steps >= -1e-12).all() and steps.max() > 0.05
+    assert max(paces) < 20 * shipped.of(usual) and min(paces) > shipped.of(usual) / 20
 
 
 def two_columns(*energy: float) -> list[PaceClues]:
@@ -153,7 +251,7 @@ def rising(z, t):
 def test_what_is_stranger_than_all_flames_counts_no_more_than_the_strangest():
     crawling = clues_of(column(seen=1e-6))
     assert np.abs(crawling.logs).max() <= FARTHEST
-    assert np.isfinite(Pace(np.ones(5), np.ones(5)).of(crawling))
+    assert np.isfinite(Pace(np.ones(6), np.ones(6)).of(crawling))
     falling = clues_of(column(bands=lambda z, t: rising(z, -t)))
     assert falling.carried < 0
     assert falling.logs[2] == -FARTHEST
