@@ -198,7 +198,9 @@ def test_weights_of_0_2_are_read(prior, tmp_path):
     arrays = dict(np.load(tmp_path / "w.npz"))
     old = {name.replace("uncertainty", "doubt"): array for name, array in arrays.items()}
     assert "doubt_weight_0" in old
+    old |= {name: old[name][:5] for name in ("pace_metric", "pace_unitless")}  # a line of four clues
     np.savez(tmp_path / "old.npz", **old)
+    np.testing.assert_array_equal(FlowPrior.load(tmp_path / "old.npz").pace.metric, [*prior.pace.metric[:5], 0])
     for (weight, bias), (same, as_well) in zip(
         FlowPrior.load(tmp_path / "old.npz").uncertainty, prior.uncertainty, strict=True
     ):
