@@ -29,7 +29,7 @@ from gof.core.errors import DataFormatError, GofError
 from gof.reconstruct.flame_axis import CrossSections, FlameAxis
 from gof.reconstruct.flow_field import FlowField
 from gof.reconstruct.log_light import LogLight, slope
-from gof.reconstruct.pace import USUAL, Pace, PaceClues
+from gof.reconstruct.pace import Pace, PaceClues
 from gof.reconstruct.several_flames import alone, several_flames
 
 WEIGHTS = Path(__file__).with_name("flow_prior.npz")
@@ -112,7 +112,7 @@ class FlowPrior:
                 data["deviation"],
                 _network(data, "velocity"),
                 _network(data, "uncertainty" if "uncertainty_layers" in data else "doubt"),
-                Pace(_line(data["pace_metric"]), _line(data["pace_unitless"])),
+                Pace(data["pace_metric"], data["pace_unitless"]),
             )
         except KeyError as missing:
             raise DataFormatError(f"{path}: not the weights of a flow prior ({missing} is missing)") from missing
@@ -151,9 +151,10 @@ class FlowPrior:
         frames = []
         for f, frame in enumerate(field.frames):  # all features of a clip at once would take gigabytes
             velocity, sd = np.zeros(frame.velocity.shape), np.full(len(flame), np.inf)
-            for (k, describer), pace in zip(flames.items(), paces, strict=True):
+            for (k, describer), pace, clue in zip(flames.items(), paces, clues, strict=True):
                 gas, uncertainty = self._gas(describer, pace, f)
-                velocity[flame == k], sd[flame == k] = gas[flame == k], uncertainty[flame == k]
+                wide = clue.widening if metres else 1.0  # its window is a time that gravity gives
+                velocity[flame == k], sd[flame == k] = gas[flame == k], wide * uncertainty[flame == k]
             frames.append(replace(frame, velocity=velocity, velocity_sd=sd))
         return replace(field, frames=tuple(frames))
 
@@ -167,11 +168,6 @@ class FlowPrior:
         if not (np.isfinite(velocity).all() and np.isfinite(sd).all()):
             raise GofError("the flow prior gave NaN or Inf; are velocity and emission finite?")
         return velocity, sd.astype(np.float64)
-
-
-def _line(weights: np.ndarray) -> np.ndarray:
-    """(6,) of a line; one of fewer clues has no weight for those that came later."""
-    return np.pad(weights, (0, 1 + len(USUAL) - len(weights)))
 
 
 def _network(data: dict[str, np.ndarray], name: str) -> Network:

@@ -2,16 +2,17 @@
 
 Texture lags behind the gas by a factor that is much the same all over one flame and differs from flame to flame: 0.8 to
 4 on the benchmark's. A clip says little of it, and a hundred flames are not at hand to learn it from, so it is a
-straight line in logarithms through five clues that physics names:
+straight line in logarithms through four clues that physics names:
 
 - what buoyancy would make of a flame of this length, if lengths are metres: hot gas cannot choose its speed;
 - how slender the flame is: a jet is faster than buoyancy, and a squat flame that is fed from all sides slower;
 - how much of the seen motion carries its texture with it: where light rather goes out and on again in place, optical
   flow reads much of that as motion, and the gas is slower than it looks;
 - how upright the moving texture is: smooth sheets that stand along the flow hide its speed (the aperture problem), and
-  the gas is faster than it looks;
-- how unsteady the seen motion is: where it changes while it is looked at, as in a fast jet, flow loses its texture and
-  the gas is faster than it looks. A steady motion says nothing.
+  the gas is faster than it looks.
+
+How unsteady the seen motion is says how far to trust this: where it changes while it is looked at, as in a fast jet,
+flow loses its texture, and the gas is often faster, though not always.
 """
 
 from __future__ import annotations
@@ -29,10 +30,11 @@ from gof.reconstruct.log_light import LogLight, slope
 
 GRAVITY = 9.81  # m/s2
 LAW = 2.18  # of sqrt(g z): McCaffrey's 6.83 sqrt(z) on the axis of the continuous flame (NBSIR 79-1910)
-USUAL = np.array([4.0, 0.14, 0.6, 0.7, 0.14])  # of the clues; logarithms are taken from there
+USUAL = np.array([4.0, 0.14, 0.6, 0.7])  # of the clues; logarithms are taken from there
 FARTHEST = np.log(4.0)  # a clue stranger than that counts no more: no flame of the benchmark is
-LOWEST = np.array([-FARTHEST, -FARTHEST, -FARTHEST, -FARTHEST, 0.0])
-HIGHEST = np.array([FARTHEST, FARTHEST, FARTHEST, FARTHEST, np.log(2.0)])
+USUAL_UNSTEADY = 0.14
+MOST_UNSTEADY = 2.0  # times the usual; beyond, a flame is no less sure
+UNSURE = 0.68  # power of that with which the uncertainty grows; of nine dev fires' paces
 WINDOW = 0.2  # of the buoyant speed over gravity: the time in which a motion is asked how unsteady it is
 FEWEST = 3  # frames that say it
 STIFFNESS = 0.05  # of the fit: as much as a twentieth of a flame that says "all clues mean nothing"
@@ -76,10 +78,14 @@ class PaceClues:
 
     @property
     def logs(self) -> np.ndarray:
-        """(5,) logarithms over the usual: buoyant over seen, slenderness, carried over seen, texture, unsteadiness."""
-        buoyant, carried = self.buoyant / self.seen, self.carried / self.seen
-        ratios = np.array([buoyant, self.slenderness, carried, self.texture, self.unsteady])
-        return np.clip(np.log(np.maximum(ratios, 1e-9) / USUAL), LOWEST, HIGHEST)
+        """(4,) logarithms over the usual: buoyant over seen, slenderness, carried over seen, texture."""
+        ratios = np.array([self.buoyant / self.seen, self.slenderness, self.carried / self.seen, self.texture])
+        return np.clip(np.log(np.maximum(ratios, 1e-9) / USUAL), -FARTHEST, FARTHEST)
+
+    @property
+    def widening(self) -> float:
+        """How many times as uncertain the gas' velocity is as a steady flame's, 1 to 1.6."""
+        return float(np.clip(self.unsteady / USUAL_UNSTEADY, 1, MOST_UNSTEADY) ** UNSURE)
 
 
 def buoyant_speed(axis: FlameAxis) -> float:
@@ -134,7 +140,7 @@ def unsteadiness(field: FlowField, window_s: float) -> float:
     Over all windows of the clip, so that a long clip is no less steady than a short one; over the whole of one that is
     shorter than the window.
     Returns:
-        0 to 1; `USUAL` where nothing moves or shines, or no window holds `FEWEST` frames.
+        0 to 1; `USUAL_UNSTEADY` where nothing moves or shines, or no window holds `FEWEST` frames.
     """
     reach = min(window_s, field.frames[-1].time_s - field.frames[0].time_s)
     light, momentum, energy = np.zeros(len(field.voxels.center)), np.zeros((len(field.voxels.center), 3)), 0.0
@@ -152,7 +158,7 @@ def unsteadiness(field: FlowField, window_s: float) -> float:
             lit = light > 1e-9 * light.max()
             unsteady += energy - float(((momentum[lit] ** 2).sum(1) / light[lit]).sum())
             whole += energy
-    return float(np.sqrt(np.clip(unsteady / whole, 0, 1))) if whole > 0 else float(USUAL[4])
+    return float(np.sqrt(np.clip(unsteady / whole, 0, 1))) if whole > 0 else USUAL_UNSTEADY
 
 
 def _momentum(frame: FrameField) -> tuple[np.ndarray, np.ndarray, float]:
@@ -166,8 +172,8 @@ class Pace:
     """A line: log of (mean speed of the gas over the seen one) = weights . (1, clues).
 
     Attributes:
-        metric: (6,) where lengths are metres and times seconds.
-        unitless: (6,) where nobody knows that; nothing for buoyancy, nor for unsteadiness, whose window needs seconds.
+        metric: (5,) where lengths are metres and times seconds.
+        unitless: (5,) where nobody knows that; nothing for buoyancy.
     """
 
     metric: np.ndarray
@@ -198,7 +204,7 @@ class Pace:
         """The line through flames whose mean speed, m/s, is known (ridge regression; the constant is free)."""
         design = np.stack([[1, *flame.logs] for flame in clues])
         factor = np.log([true / flame.seen for true, flame in zip(speed, clues, strict=True)])
-        return cls(_ridge(design, factor), _ridge(design * [1, 0, 1, 1, 1, 0], factor))
+        return cls(_ridge(design, factor), _ridge(design * [1, 0, 1, 1, 1], factor))
 
 
 def _ridge(design: np.ndarray, values: np.ndarray) -> np.ndarray:
