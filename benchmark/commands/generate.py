@@ -53,6 +53,7 @@ class GenerateConfig:
             "n3v",
             "multipleview",
             "hypernerf",
+            "nerfds",
             "freetimegs",
             "firebundle",
         ],
