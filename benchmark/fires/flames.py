@@ -139,10 +139,10 @@ def of_grids(fire: FireGrids) -> ViewedFlame:
     z = fire.centers(2) - hearth.position_m[2]
 
     def velocity() -> Iterator[np.ndarray]:
-        return (fire.velocity.frame(k).velocity for k in frames)
+        return (fire.velocity.frame(k).velocity.astype(np.float32, copy=False) for k in frames)
 
     def light() -> Iterator[np.ndarray]:
-        return (fire.grids["emission"].cells(k).sum(-1) for k in frames)
+        return (fire.grids["emission"].cells(k).sum(-1, dtype=np.float32) for k in frames)
 
     along = [(e.sum(0).max(0), e.sum(1).max(0), e.sum((0, 1))) for e in light()]
     from_x, from_y, total = (np.array(part, float) for part in zip(*along, strict=True))
