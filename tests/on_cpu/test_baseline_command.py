@@ -285,6 +285,33 @@ def test_wus_dynerf_reader_reads_the_published_form(run, views, tmp_path):
 
 
 @pytest.mark.slow
+@pytest.mark.parametrize("method, options", [("grid4d", ["--conf"]), ("deformable", ["--eval", "--warm_up", 10])])
+def test_a_network_beside_its_gaussians(run, views, tmp_path, method, options):
+    """Grid4D with its own hash encoder over our stand-in, and Deformable-3DGS: trained, and sampled as they move."""
+    from gof.io.importers import read_result
+
+    code_folder = checkout(method.upper())
+    if method == "grid4d":
+        (tmp_path / "short.py").write_text("warm_up = 10\ndeform_lr_max_steps = position_lr_max_steps = 40\n")
+        options = [*options, tmp_path / "short.py"]
+    script, model = code_folder / "train.py", tmp_path / "model"
+    words = ["-s", views / "NeRF/nerfds", "-m", model, *options, "--iterations", 40, "--save_iterations", 40]
+    words += ["--test_iterations", -1]
+    code, out, err = run("--curve", tmp_path / "c.csv", script, *words, packages=False)  # seen from what it imports
+    assert code == 0 and "simple_knn._C" in out, err[-3000:]
+    losses = [float(row["loss"]) for row in csv.DictReader((tmp_path / "c.csv").open())]
+    assert losses[-1] < losses[1] and unchanged(code_folder)
+    saved = tmp_path / "moved.npz"
+    code, out, err = run("--method", method, "--trajectory", saved, script, model, views, packages=False)
+    assert code == 0, err[-3000:]
+    trajectory = read_result(saved).gaussians
+    assert trajectory.position.shape[0] == 15 and np.abs(trajectory.velocity).max() > 0
+    step = trajectory.time_s[1] - trajectory.time_s[0]
+    centre = (trajectory.position[2:] - trajectory.position[:-2]) / (2 * step)
+    assert np.linalg.norm(trajectory.velocity[1:-1] - centre) / np.linalg.norm(centre) < 0.5
+
+
+@pytest.mark.slow
 def test_4dgs_of_yang(run, views, tmp_path):
     from gof.io.importers import ImportOptions, read_result
 

@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from gof.core.errors import DataFormatError, MissingDependencyError
 from gof.render import reference
@@ -14,6 +15,7 @@ pytest.importorskip("drjit")
 
 from gof.on_cpu import gaussian_rasterizer as inria  # noqa: E402
 from gof.on_cpu import small_modules  # noqa: E402
+from gof.on_cpu.export import as_drawn  # noqa: E402
 
 pytestmark = pytest.mark.usefixtures("kernels")
 NEAR, FAR = 0.2, 100.0
@@ -364,6 +366,32 @@ def test_ssim_and_its_edge():
 def test_the_pixel_grid():
     grid = small_modules.kornia().create_meshgrid(2, 3, normalized_coordinates=False)
     assert grid.shape == (1, 2, 3, 2) and grid[0, 1, 2].tolist() == [2.0, 1.0]
+
+
+def test_ellipsoids_of_quaternions_of_any_length_are_those_that_are_drawn():
+    """A quaternion of another length is no rotation: scales and unit quaternions give the same covariance again."""
+    rng = np.random.default_rng(6)
+    scale = rng.uniform(0.01, 0.1, (50, 3)) * rng.choice([-1, 1], (50, 3))  # a network may turn the sign
+    quaternion = rng.normal(size=(50, 4))
+    quaternion *= rng.uniform(0.7, 1.4, (50, 1)) / np.linalg.norm(quaternion, axis=1, keepdims=True)
+    scale[0] = 0.02  # a ball
+    w, x, y, z = quaternion.T
+    turned = np.array(  # the matrix that rasterisers form of a quaternion, whatever its length
+        [
+            [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
+            [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
+            [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
+        ]
+    ).transpose(2, 0, 1)
+    want = np.einsum("nij,nj,nkj->nik", turned, scale**2, turned)
+    found, unit = as_drawn(torch.tensor(scale), torch.tensor(quaternion))
+    np.testing.assert_allclose(np.linalg.norm(unit, axis=1), 1, atol=1e-12)
+    axes = Rotation.from_quat(unit[:, [1, 2, 3, 0]]).as_matrix()
+    np.testing.assert_allclose(np.einsum("nij,nj,nkj->nik", axes, found**2, axes), want, atol=1e-12)
+    proper = quaternion / np.linalg.norm(quaternion, axis=1, keepdims=True)
+    found, unit = as_drawn(torch.tensor(np.abs(scale)), torch.tensor(proper))
+    np.testing.assert_allclose(found, np.abs(scale), atol=1e-9)  # in the order that they were given in
+    np.testing.assert_allclose(np.abs((unit[1:] * proper[1:]).sum(1)), 1, atol=1e-9)
 
 
 def test_settings_in_python_stand_over_their_base(tmp_path):
