@@ -292,10 +292,10 @@ def test_a_network_beside_its_gaussians(run, views, tmp_path, method, options):
 
     code_folder = checkout(method.upper())
     if method == "grid4d":
-        (tmp_path / "short.py").write_text("warm_up = 10\ndeform_lr_max_steps = position_lr_max_steps = 40\n")
+        (tmp_path / "short.py").write_text("warm_up = 10\ndeform_lr_max_steps = position_lr_max_steps = 80\n")
         options = [*options, tmp_path / "short.py"]
     script, model = code_folder / "train.py", tmp_path / "model"
-    words = ["-s", views / "NeRF/nerfds", "-m", model, *options, "--iterations", 40, "--save_iterations", 40]
+    words = ["-s", views / "NeRF/nerfds", "-m", model, *options, "--iterations", 80, "--save_iterations", 80]
     words += ["--test_iterations", -1]
     code, out, err = run("--curve", tmp_path / "c.csv", script, *words, packages=False)  # seen from what it imports
     assert code == 0 and "simple_knn._C" in out, err[-3000:]
