@@ -174,14 +174,53 @@ def test_a_dataset_with_smaller_pictures(tmp_path):
 
 
 def test_smaller_pictures_without_openexr_leave_nothing(tmp_path, monkeypatch, capsys):
-    """The plates' depth needs it, which comes last: nothing is written before it is known to be there."""
+    """A layout that reads the plates' depth needs it, and one that does not can be had without."""
     root = fire.dataset(tmp_path / "fire")
     assert list(root.rglob("*.exr"))
     with monkeypatch.context() as without:
         without.setitem(sys.modules, "OpenEXR", None)
-        assert shrunk.main([str(root), str(tmp_path / "small"), "--longest-side", "40"]) == 1
-    captured = capsys.readouterr()
-    said = captured.out + captured.err
-    assert "OpenEXR" in said and "Traceback" not in said
+        words = [str(root), str(tmp_path / "small"), "--longest-side", "40", "--views", "dnerf"]
+        assert shrunk.main([*words, "points"]) == 1
+        captured = capsys.readouterr()
+        said = captured.out + captured.err
+        assert "OpenEXR" in said and "Traceback" not in said
+        assert [path.name for path in tmp_path.iterdir()] == ["fire"]
+        assert shrunk.main(words) == 0
+    small = tmp_path / "small"
+    assert (small / "transforms_train.json").is_file() and not list(small.rglob("*.exr"))
+    assert shrunk.main([*words[:1], str(tmp_path / "full"), *words[2:], "points"]) == 0, "the same command with it"
+    assert len(list((tmp_path / "full").rglob("*.exr"))) == 3
+
+
+def test_smaller_pictures_for_a_layout_that_cannot_be_leave_nothing(tmp_path, capsys):
+    """A dataset that holds out nothing has no such layout: the whole folder is not made."""
+    root = fire.dataset(tmp_path / "fire")
+    description = json.loads((root / "dataset.json").read_text())
+    description["splits"] = {"train": list(range(fire.FRAMES)), "test": []}
+    (root / "dataset.json").write_text(json.dumps(description))
+    assert shrunk.main([str(root), str(tmp_path / "small"), "--longest-side", "40", "--views", "hypernerf"]) == 1
+    assert "holds out nothing" in capsys.readouterr().out.replace("\n", " ")
     assert [path.name for path in tmp_path.iterdir()] == ["fire"]
-    assert shrunk.main([str(root), str(tmp_path / "small"), "--longest-side", "40"]) == 0, "the same command"
+
+
+def test_nerfds_of_grid4d_and_deformable(root, tmp_path):
+    """What their readers do: lenses and pictures of one size, frames by `time_id` over the last one's, a real split."""
+    folder, dataset = root / "NeRF/nerfds", Dataset.open(root)
+    assert folder.parent.name.startswith("NeRF") and "nerf" in str(folder)
+    split = json.loads((folder / "dataset.json").read_text())
+    about = json.loads((folder / "metadata.json").read_text())
+    assert {about[name]["time_id"] for name in split["val_ids"]} == set(fire.TEST)
+    assert {about[name]["time_id"] for name in split["train_ids"]} == set(range(fire.FRAMES)) - set(fire.TEST)
+    point = np.array([0.1, -0.2, 0.6])
+    for name, entry in about.items():
+        camera = dataset.cameras[entry["camera_id"]]
+        picture = folder / "rgb/1x" / f"{name}.png"
+        assert picture.read_bytes() == dataset.file(entry["camera_id"], "rgb", entry["time_id"]).read_bytes()
+        lens = json.loads((folder / "camera" / f"{name}.json").read_text())
+        seen = np.array(lens["orientation"]) @ (point - lens["position"])
+        pixel = lens["focal_length"] * seen[:2] / seen[2] + [fire.WIDTH / 2, fire.HEIGHT / 2]  # they take the centre
+        np.testing.assert_allclose(pixel, camera.project(point[None])[0][0], atol=1e-9)
+    assert (folder / "points3d.ply").read_bytes() == (root / "points3d.ply").read_bytes()
+    mistaken = fire.dataset(tmp_path / "vrig_fire")
+    with pytest.raises(DataFormatError, match="'vrig' for another; rename it"):
+        views.write("nerfds", mistaken)

@@ -54,6 +54,7 @@ class GenerateConfig:
             "n3v",
             "multipleview",
             "hypernerf",
+            "nerfds",
             "freetimegs",
             "firebundle",
         ],

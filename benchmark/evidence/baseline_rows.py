@@ -1,8 +1,8 @@
 """Rows of other methods beside ours on scenes of GoF-Bench, trained by their own code on this machine's CPU.
 
     python -m gof_benchmark.evidence.baseline_rows WORK/standard OUT --wu 4DGaussians --yang 4d-gaussian-splatting \
-        --freetime FreeTimeGsVanilla [--scenes jet logs foam_two_burners] [--ours gof ...] [--steps 3000] \
-        [--python THEIRS/bin/python]
+        --freetime FreeTimeGsVanilla --grid4d Grid4D --deformable Deformable-3D-Gaussians \
+        [--scenes jet logs foam_two_burners] [--ours gof ...] [--steps 3000] [--python THEIRS/bin/python]
 
 Every scene is seen in smaller pictures, every method is trained for the same number of steps with the settings that its
 authors give for a scene of this kind, schedules shortened in proportion; then ours: with the flow prior, without, and
@@ -34,16 +34,23 @@ from gof.host.processes import python_command
 from gof_benchmark.evidence.scene_rows import table
 from gof_benchmark.views import shrunk
 
-VIEWS = ("dnerf", "points", "hypernerf", "freetimegs")
+VIEWS = ("dnerf", "points", "hypernerf", "freetimegs", "nerfds")
 GIVEN = {"others": ["poses", "starting points"], "ours": ["poses", "plates"]}
-AUTHORS = {"wu": "Guanjun Wu et al.", "yang": "Zeyu Yang et al.", "freetime": "the authors of FreeTimeGsVanilla"}
+AUTHORS = {
+    "wu": "Guanjun Wu et al.",
+    "yang": "Zeyu Yang et al.",
+    "freetime": "the authors of FreeTimeGsVanilla",
+    "grid4d": "Jiawei Xu et al.",
+    "deformable": "Ziyi Yang et al.",
+}
 OURS = {  # name in the submission's folder: (name of the row, options, what it knew before)
     "gof": ("gof", (), ["the flow prior, learned on the dev fires"]),
     "gof_no_prior": ("gof without the flow prior", ("--no-flow-prior",), []),
     "gof_paper": ("gof, --method paper", ("--method", "paper"), []),
     "gof_long": ("gof, as long as the slowest", (), ["the flow prior, learned on the dev fires"]),
 }
-ROWS = ("freetime", "gof", "gof_no_prior", "gof_paper", "yang", "wu", "gof_long")  # the cheap ones first
+# The cheap ones first.
+ROWS = ("freetime", "gof", "gof_no_prior", "gof_paper", "yang", "wu", "deformable", "grid4d", "gof_long")
 
 
 @dataclass(frozen=True)
@@ -62,6 +69,10 @@ class BaselineRows:
     """Checkout of fudan-zvg/4d-gaussian-splatting."""
     freetime: Path | None = None
     """Checkout of raiscui/FreeTimeGsVanilla."""
+    grid4d: Path | None = None
+    """Checkout of JiaweiXu8/Grid4D."""
+    deformable: Path | None = None
+    """Checkout of ingra14m/Deformable-3D-Gaussians."""
     steps: int = 3000
     """For every training, one picture each."""
     longest_side: int = 160
@@ -173,7 +184,53 @@ def freetime(config: BaselineRows, data: Path, out: Path) -> Training:
     return Training((start, train), out / "model/ckpts/ckpt_*.pt", said)
 
 
-OTHERS = {"wu": wu, "yang": yang, "freetime": freetime}
+def grid4d(config: BaselineRows, data: Path, out: Path) -> Training:
+    """`arguments/hypernerf/vrig_*.py` at fewer steps, in a box of 1.6 m around the origin: what is outside stands
+    still."""
+    steps, share = config.steps, config.steps / 30_000
+    settings = f"""grid_args = dict(
+    canonical_num_levels=16, canonical_level_dim=2, canonical_base_resolution=16, canonical_desired_resolution=2048,
+    canonical_log2_hashmap_size=19, deform_num_levels=32, deform_level_dim=2, deform_base_resolution=16,
+    deform_desired_resolution=[256, 256, 64], deform_log2_hashmap_size=19, bound=1.6)
+network_args = dict(depth=1, width=256, directional=True)
+grid_lr_scale, network_lr_scale = 50.0, 1.0
+lambda_spatial_tv, spatial_downsample_ratio, spatial_perturb_range = 1.0, 0.1, 1e-3
+lambda_temporal_tv, temporal_downsample_ratio, temporal_perturb_range = 1.0, 1.0, [1e-2, 1e-2, 1e-2, 0.0]
+warm_up, opacity_reset_interval = 0, 3000
+densify_from_iter, densify_until_iter = {round(500 * share)}, {round(12_000 * share)}
+deform_lr_max_steps = position_lr_max_steps = {steps}
+"""
+    more = ("--conf", f"{out}/settings.py")
+    return _deformed("grid4d", config.grid4d, config, data, out, more, {out / "settings.py": settings})
+
+
+def deformable(config: BaselineRows, data: Path, out: Path) -> Training:
+    """Return its own defaults at fewer steps."""
+    share = config.steps / 40_000
+    schedule = {"warm_up": 3000, "densify_from_iter": 500, "densify_until_iter": 15_000}
+    schedule |= {"position_lr_max_steps": 30_000, "deform_lr_max_steps": 40_000}
+    more = tuple(word for name, at in schedule.items() for word in (f"--{name}", f"{round(at * share)}"))
+    return _deformed("deformable", config.deformable, config, data, out, ("--eval", *more), {})
+
+
+def _deformed(
+    name: str,
+    checkout: Path | None,
+    config: BaselineRows,
+    data: Path,
+    out: Path,
+    more: tuple[str, ...],
+    settings: dict[Path, str],
+) -> Training:
+    """Train on the `nerfds` view and export, for the two methods whose network stands beside their Gaussians."""
+    script, start = f"{checkout}/train.py", ("-m", "gof", "baseline", "--method", name)
+    train = (*start, "--curve", f"{out}/curve.csv", script, "-s", f"{data}/NeRF/nerfds", "-m", f"{out}/model", *more)
+    train += ("--iterations", f"{config.steps}", "--save_iterations", f"{config.steps}", "--test_iterations", "-1")
+    export = (*start, "--trajectory", f"{out}/{name}.npz", script, f"{out}/model", f"{data}")
+    return Training((train, export), out / f"{name}.npz", settings=settings)
+
+
+OTHERS = {"wu": wu, "yang": yang, "freetime": freetime, "grid4d": grid4d, "deformable": deformable}
 
 
 def duration(data: Path) -> float:
@@ -302,7 +359,7 @@ def main(argv: list[str] | None = None) -> None:
     small = config.out / "pictures" / config.suite.resolve().name
     rows = [name for name in ROWS if name in config.ours or getattr(config, name, None)]
     for scene in config.scenes:
-        if not (small / scene / "freetimegs/sparse").is_dir():
+        if not all((small / scene / made).is_dir() for made in ("freetimegs/sparse", "NeRF/nerfds")):
             shutil.rmtree(small / scene, ignore_errors=True)
             words = [f"{config.suite / scene}", f"{small / scene}", "--longest-side", f"{config.longest_side}"]
             shrunk.main([*words, "--views", *VIEWS])

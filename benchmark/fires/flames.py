@@ -19,6 +19,7 @@ from gof.dataset import Dataset
 from gof.footage.flame_mask import flame_mask
 from gof.footage.videos import stored_frames
 from gof_benchmark.fires import measures
+from gof_benchmark.fires.measured import Flow
 from gof_benchmark.solvers.grids import FireGrids, FireHistory
 from gof_blender.core.checked_json import SpecError
 from gof_blender.pure.fires import GridFire
@@ -72,6 +73,7 @@ class Truth:
         hottest_k, fastest_m_s: of any cell and frame.
         cpu_s: seconds of one core that the fire took.
         windy: the flame leans; the laws are of still air, and the axis is not where it burns.
+        flow: for profiles across the fire.
     """
 
     diameter_m: float
@@ -85,6 +87,7 @@ class Truth:
     hottest_k: float = math.nan
     cpu_s: float = math.nan
     windy: bool = False
+    flow: Flow | None = None
 
 
 @dataclass(frozen=True)
@@ -139,10 +142,10 @@ def of_grids(fire: FireGrids) -> ViewedFlame:
     z = fire.centers(2) - hearth.position_m[2]
 
     def velocity() -> Iterator[np.ndarray]:
-        return (fire.velocity.frame(k).velocity for k in frames)
+        return (fire.velocity.frame(k).velocity.astype(np.float32, copy=False) for k in frames)
 
     def light() -> Iterator[np.ndarray]:
-        return (fire.grids["emission"].cells(k).sum(-1) for k in frames)
+        return (fire.grids["emission"].cells(k).sum(-1, dtype=np.float32) for k in frames)
 
     along = [(e.sum(0).max(0), e.sum(1).max(0), e.sum((0, 1))) for e in light()]
     from_x, from_y, total = (np.array(part, float) for part in zip(*along, strict=True))
@@ -165,6 +168,7 @@ def of_grids(fire: FireGrids) -> ViewedFlame:
         hottest_k=max(float(hot.cells(k).max()) for k in frames) if hot else math.nan,
         cpu_s=sum(fire.description.cpu_s.values()),
         windy=any(fire.description.wind_m_s),
+        flow=Flow(fire.velocity, np.array(hearth.position_m, float)),
     )
     views = tuple(View(z, brightest, total) for brightest in (from_x, from_y))
     return ViewedFlame(fire.description.name, fire.description.solver.split()[0], fire.times_s, views, truth)
@@ -231,7 +235,8 @@ def of_dataset(dataset: Dataset) -> ViewedFlame:
     fastest = max(float(np.linalg.norm(v.astype(np.float32), axis=-1).max()) for v in frames)
     top = float(height_m[-1])
     views = tuple(_picture_view(dataset, number, base, top) for number in range(len(dataset.cameras)))
-    truth = Truth(diameter_m, axis, swings, fastest, windy="wind" in spec.effect_names)
+    windy = "wind" in spec.effect_names
+    truth = Truth(diameter_m, axis, swings, fastest, windy=windy, flow=Flow(fields, base))
     return ViewedFlame("/".join(dataset.path.resolve().parts[-2:]), "Mantaflow", dataset.times_s, views, truth)
 
 

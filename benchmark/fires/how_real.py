@@ -16,6 +16,7 @@ from gof.host.terminal import progress_bar
 from gof.look.charts import line_chart
 from gof_benchmark.fires import SPLITS, measures
 from gof_benchmark.fires.flames import Axis, Truth, View, ViewedFlame, flame_of
+from gof_benchmark.fires.measured import MeasuredFire, compare, read_waterloo
 from gof_benchmark.fires.measures import ZONES, heskestad_heat, heskestad_height, mccaffrey_speed, puffing_law
 
 BANDS = ((0.1, 0.4), (0.4, 0.7), (0.7, 1.0))  # of the flame's height, through which structures are followed
@@ -38,6 +39,9 @@ class HowReal:
     `python -m gof_benchmark.fires` makes them."""
     clip_rate_hz: float = 0.0
     """At which videos were filmed; slow-motion files state another rate."""
+    measured: Path | None = None
+    """Your copy of MaCFP's database (github.com/MaCFP/macfp-db): fires of the size of its methanol pool are held beside
+    the profiles measured there."""
     charts: Path | None = None
     """Also draw how_real_SOURCE.svg and how_real_flicker.svg into this folder."""
 
@@ -186,6 +190,16 @@ SEEN_HEAD = (
     "exponent (0.5)",
     "over the gas",
 )
+MEASURED_HEAD = (
+    "fire",
+    "measured",
+    "points",
+    "mean over, s",
+    "mean speed / measured",
+    "its error",
+    "rms / measured",
+    "its error",
+)
 SOLVER_HEAD = (
     "fire",
     "heat / nominal, kW",
@@ -243,6 +257,36 @@ def solver_row(flame: ViewedFlame, looks: Seen) -> tuple[str, ...]:
         _figure(truth.hottest_k, 0),
         _figure(truth.fastest_m_s, 1),
         _figure(truth.cpu_s, 0),
+    )
+
+
+def measured_row(flame: ViewedFlame, measured: MeasuredFire) -> tuple[str, ...]:
+    """Return a simulated fire's line under MEASURED_HEAD."""
+    found = compare(flame.truth.flow, measured)
+    return (
+        flame.name,
+        measured.name,
+        str(found.points),
+        _figure(found.over_s),
+        _figure(found.mean_ratio),
+        _figure(found.mean_error),
+        _figure(found.rms_ratio),
+        _figure(found.rms_error),
+    )
+
+
+def measured_table(flames: list[ViewedFlame], measured: MeasuredFire) -> str:
+    """Return the table of the fires that are as wide, as hot and in still air, or a sentence that none is."""
+    same = [
+        flame
+        for flame in flames
+        if flame.truth and not flame.truth.windy and measured.is_same(flame.truth.diameter_m, flame.truth.heat_kw)
+    ]
+    if same:
+        return table(MEASURED_HEAD, [measured_row(flame, measured) for flame in same])
+    return (
+        f"None of these fires is that of '{measured.name}' ({measured.diameter_m:g} m, {measured.heat_kw:g} kW, "
+        "still air); gof generate waterloo makes one."
     )
 
 
@@ -349,6 +393,7 @@ def main(argv: list[str] | None = None) -> int:
                 update(done, len(places), note=str(place))
                 flames.append(flame_of(place, config.clip_rate_hz))
             update(len(places), len(places))
+        beside = measured_table(flames, read_waterloo(config.measured)) if config.measured else ""
     except GofError as e:
         print(f"how_real: {e}", file=sys.stderr)
         return 1
@@ -363,6 +408,8 @@ def main(argv: list[str] | None = None) -> int:
     ):
         if chosen:
             print(table(head, [row(flame, look) for flame, look in chosen]), end="\n\n")
+    if beside:
+        print(beside, end="\n\n")
     if config.charts:
         draw(flames, looks, config.charts)
     return 0

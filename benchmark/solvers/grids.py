@@ -156,10 +156,12 @@ def write_fire(
     """Write a fire, frame by frame; `path` appears only when it is whole.
 
     Args:
-        index_to_world: (4, 4) continuous cell index to world metres; cells are cubes.
-        frame: called with 0, 1, ... for the frames of `description.time_s`.
+        index_to_world: (4, 4) continuous cell index to world metres: cell i spans i to i + 1, so (0, 0, 0) is the
+            lower corner of the box and (0.5, 0.5, 0.5) the centre of the first cell. Cells are cubes.
+        frame: called with 0, 1, ... for the frames of `description.time_s`. A quantity in float16 is stored as such,
+            others as float32.
     Raises:
-        DataFormatError: the path exists, or the frames differ in shape or quantities.
+        DataFormatError: the path exists, or the frames differ in shape, quantities or precision.
         NonFiniteError: a frame holds NaN or Inf; names the quantity.
     """
     if path.exists():
@@ -169,23 +171,37 @@ def write_fire(
         for k in range(len(description.time_s)):
             grids = {name: value for name, value in vars(frame(k)).items() if value is not None}
             if k == 0:
-                shapes = {name: np.shape(value) for name, value in grids.items()}
+                kinds = {name: _kind(value) for name, value in grids.items()}
                 stores = {
-                    name: _create(partial, name, shape, description.time_s, index_to_world)
-                    for name, shape in shapes.items()
+                    name: _create(partial, name, *kind, description.time_s, index_to_world)
+                    for name, kind in kinds.items()
                 }
-            if {name: np.shape(value) for name, value in grids.items()} != shapes:
-                raise DataFormatError(f"{path}: frame {k} has other quantities or another shape than frame 0")
+            if {name: _kind(value) for name, value in grids.items()} != kinds:
+                raise DataFormatError(
+                    f"{path}: frame {k} has other quantities, another shape or another precision than frame 0"
+                )
             for name, value in grids.items():
                 require_finite(name, value, f"frame {k} of fire '{description.name}'")
-                stores[name].write(k, np.asarray(value, np.float32))
+                stores[name].write(k, np.asarray(value, kinds[name][1]))
         if history:
             write_record(partial / "history.json", history)
         write_record(partial / FILE, description)
     return FireGrids.open(path)
 
 
-def _create(folder: Path, name: str, shape: tuple[int, ...], times_s: tuple[float, ...], index_to_world: np.ndarray):
+def _kind(grid: np.ndarray) -> tuple[tuple[int, ...], str]:
+    """Return a grid's shape and the precision that it is stored in."""
+    return np.shape(grid), "float16" if np.asarray(grid).dtype == np.float16 else "float32"
+
+
+def _create(
+    folder: Path,
+    name: str,
+    shape: tuple[int, ...],
+    dtype: str,
+    times_s: tuple[float, ...],
+    index_to_world: np.ndarray,
+):
     vector = name in ("velocity", "emission")
     if len(shape) != 3 + vector or (vector and shape[3] != 3):
         raise DataFormatError(f"{name}: shape {shape}, expected (X, Y, Z{', 3' if vector else ''})")
@@ -200,4 +216,4 @@ def _create(folder: Path, name: str, shape: tuple[int, ...], times_s: tuple[floa
         "time_s": list(times_s),
     }
     chunks = (1, CHUNK, CHUNK, CHUNK, 3)[: len(shape) + 1]
-    return ZarrArray.create(folder / f"{name}.zarr", (len(times_s), *shape), chunks, "float32", attributes, level=1)
+    return ZarrArray.create(folder / f"{name}.zarr", (len(times_s), *shape), chunks, dtype, attributes, level=1)

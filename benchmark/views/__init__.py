@@ -17,7 +17,7 @@ def write(name: str, root: Path) -> None:
 
     Args:
         name: "nerfstudio", "dnerf", "points", "colmap", "dynerf", "n3v", "multipleview", "hypernerf",
-            "freetimegs" or "firebundle".
+            "nerfds", "freetimegs" or "firebundle".
     Raises:
         DataFormatError: no finished dataset there, or one that the layout cannot express.
     """

@@ -19,12 +19,24 @@ from .points import StartingPoints, write_ply
 from .source import ViewSource, link
 
 FOLDER = "hypernerf"
-TIMES = 2  # the size that lenses are written for, over that of the pictures
+TIMES = 2  # readers halve the lenses
 
 
 def write(source: ViewSource) -> None:
-    """Write the view. Raises DataFormatError: lenses differ or are off centre (its readers have one), times that are
-    not even, no held-out frame (its readers would choose some), or no flame to start from."""
+    """Write the view, as `write_nerfies`."""
+    write_nerfies(source, FOLDER, TIMES, "points3D_downsample2.ply")
+
+
+def write_nerfies(source: ViewSource, folder: str, times: int, points: str) -> None:
+    """Write the files of Nerfies.
+
+    Args:
+        folder: in the dataset.   times: the size that lenses are written for, over that of the pictures.
+        points: name of the file of points to start from.
+    Raises:
+        DataFormatError: lenses differ or are off centre (its readers have one), times that are not even, no held-out
+            frame (its readers would choose some), or no flame to start from.
+    """
     dataset = source.dataset
     field_of_view(dataset)
     steps = np.diff(dataset.times_s)
@@ -40,21 +52,22 @@ def write(source: ViewSource) -> None:
     about = {}
     for camera, frame, _ in pictures:
         name = _name(camera, frame)
-        link(dataset.file(camera, "rgb", frame), path_in(dataset.path, f"{FOLDER}/rgb/{TIMES}x/{name}.png"))
-        _write_json(source, f"camera/{name}.json", _camera(source, camera))
-        about[name] = {"warp_id": frame, "appearance_id": frame, "camera_id": camera}
-    _write_json(source, "metadata.json", about)
+        link(dataset.file(camera, "rgb", frame), path_in(dataset.path, f"{folder}/rgb/{times}x/{name}.png"))
+        _write_json(source, f"{folder}/camera/{name}.json", _camera(source, camera, times))
+        about[name] = {"warp_id": frame, "appearance_id": frame, "time_id": frame, "camera_id": camera}
+    _write_json(source, f"{folder}/metadata.json", about)
     ids = trains + held_out
-    _write_json(source, "dataset.json", {"count": len(ids), "ids": ids, "train_ids": trains, "val_ids": held_out})
-    _write_json(source, "scene.json", {"scale": 1.0, "center": [0.0, 0.0, 0.0], "near": 0.1, "far": 100.0})
-    write_ply(path_in(dataset.path, f"{FOLDER}/points3D_downsample2.ply"), StartingPoints.of(source).all())
+    split = {"count": len(ids), "ids": ids, "train_ids": trains, "val_ids": held_out}
+    _write_json(source, f"{folder}/dataset.json", split)
+    _write_json(source, f"{folder}/scene.json", {"scale": 1.0, "center": [0.0, 0.0, 0.0], "near": 0.1, "far": 100.0})
+    write_ply(path_in(dataset.path, f"{folder}/{points}"), StartingPoints.of(source).all())
 
 
 def _name(camera: int, frame: int) -> str:
     return f"{camera:02d}_{frame:06d}"
 
 
-def _camera(source: ViewSource, number: int) -> dict:
+def _camera(source: ViewSource, number: int, times: int) -> dict:
     """Return a camera as Nerfies writes it: the world seen from it is ``orientation (x - position)``, axes as
     OpenCV's."""
     lens = source.dataset.cameras[number]
@@ -62,16 +75,16 @@ def _camera(source: ViewSource, number: int) -> dict:
     return {
         "orientation": rotation.tolist(),
         "position": (-rotation.T @ shift).tolist(),
-        "focal_length": TIMES * float(lens.K[0, 0]),
-        "principal_point": [TIMES * float(lens.K[0, 2]), TIMES * float(lens.K[1, 2])],
+        "focal_length": times * float(lens.K[0, 0]),
+        "principal_point": [times * float(lens.K[0, 2]), times * float(lens.K[1, 2])],
         "skew": 0.0,
         "pixel_aspect_ratio": 1.0,
         "radial_distortion": [0.0, 0.0, 0.0],
         "tangential_distortion": [0.0, 0.0],
-        "image_size": [TIMES * lens.width, TIMES * lens.height],
+        "image_size": [times * lens.width, times * lens.height],
     }
 
 
 def _write_json(source: ViewSource, name: str, content: dict) -> None:
-    with atomic_path(path_in(source.dataset.path, f"{FOLDER}/{name}")) as path:
+    with atomic_path(path_in(source.dataset.path, name)) as path:
         path.write_text(json.dumps(content), encoding="utf-8")

@@ -28,6 +28,7 @@ from gof_blender.pure.layout import Layout
 from . import write as write_view
 from .source import ViewSource, link
 
+WITHOUT_DEPTH = ("dnerf", "nerfstudio")  # layouts that read nothing of the plates' depth
 SHRUNK = "pictures"  # in a dataset's provenance: how its pictures were made smaller
 
 
@@ -45,21 +46,31 @@ class ShrunkConfig:
     """Layouts to write in it: as --views of gof generate."""
 
 
-def shrink(root: Path, out: Path, longest_side: int) -> None:
-    """Shrink a dataset. Raises GofError: `out` is there, or the pictures are not larger."""
+def shrink(root: Path, out: Path, longest_side: int, views: tuple[str, ...] = ()) -> None:
+    """Write a dataset with smaller pictures and views of it; nothing where something fails.
+
+    Args:
+        longest_side: of the pictures, px.   views: layouts; the plates' depth is written where one of them reads it.
+    Raises:
+        GofError: `out` is there, the pictures are not larger, or a layout cannot express the dataset.
+        MissingDependencyError: a layout reads depth and OpenEXR is absent.
+    """
     source = ViewSource.open(root)
     dataset = source.dataset
     if out.exists():
         raise GofError(f"{out}: is there already; give a new folder")
     if all(max(camera.width, camera.height) <= longest_side for camera in dataset.cameras):
         raise GofError(f"{root}: its pictures are not larger than {longest_side} px")
-    if any(_plate_depth(source, number).is_file() for number in range(len(dataset.cameras))):
+    depth = any(name not in WITHOUT_DEPTH for name in views)
+    if depth:
         extras.load("OpenEXR", "generate", "writing depth")  # before anything is written
     with whole_folder(out) as draft:
-        _write(source, draft, longest_side)
+        _write(source, draft, longest_side, depth)
+        for name in views:
+            write_view(name, draft)
 
 
-def _write(source: ViewSource, out: Path, longest_side: int) -> None:
+def _write(source: ViewSource, out: Path, longest_side: int, depth: bool) -> None:
     dataset, entries = source.dataset, []
     known = [entry for entry in dataset.description.cameras if entry.role != "around"]
     for number, (camera, entry) in enumerate(zip(dataset.cameras, known, strict=True)):
@@ -68,7 +79,8 @@ def _write(source: ViewSource, out: Path, longest_side: int) -> None:
         for kind in ("rgb", "static", "mask", "board_mask"):
             if getattr(entry, kind) is not None:
                 _shrink_pictures(dataset, number, kind, out, (small.width, small.height))
-        _shrink_depth(source, number, out, (small.width, small.height))
+        if depth:
+            _shrink_depth(source, number, out, (small.width, small.height))
         kept = {name: getattr(entry, name) for name in ("role", "roll_deg", "rgb", "static", "mask", "board_mask")}
         entries.append(CameraEntry.of(small, time_s=entry.time_s, **kept))
     for name in (dataset.description.velocity, "grids"):
@@ -118,9 +130,7 @@ def main(argv: list[str] | None = None) -> int:
     """1 with a named error."""
     config = tyro.cli(ShrunkConfig, prog="python -m gof_benchmark.views.shrunk", args=argv)
     try:
-        shrink(config.dataset, config.out, config.longest_side)
-        for name in config.views:
-            write_view(name, config.out)
+        shrink(config.dataset, config.out, config.longest_side, config.views)
     except GofError as error:
         console().print("error:", error, style="red")
         return 1

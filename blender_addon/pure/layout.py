@@ -266,9 +266,11 @@ def leaving(layout: Layout) -> list[str]:
     if not layout.bake_marker.is_file():
         return []
     cut = read_json(layout.bake_marker).get("cut_off", {})
+    of_grids = layout.spec.is_file() and read_json(layout.spec).get("fire", {}).get("grids")
+    way_out = "only its solver can give it a larger box" if of_grids else "make domain.size larger there"
     return [
         f"the flame leaves the domain through its {side} ({100 * share:.0f} % of its widest section), where pictures "
-        f"and truth end: make domain.size larger there"
+        f"and truth end: {way_out}"
         for side, share in cut.items()
         if share >= CUT_OFF
     ]

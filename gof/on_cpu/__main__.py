@@ -11,7 +11,7 @@ from gof.core.errors import GofError
 
 def main() -> int:
     """Run the script, or export what it trained; its own exit status, 1 for an error of ours."""
-    from gof.on_cpu.launch import export, launch, provenance
+    from gof.on_cpu.launch import export, launch, method_of, provenance
     from gof.on_cpu.methods import METHODS
 
     rows = [(name, f"{m.title} ({m.repository})" if m.commit else m.title) for name, m in METHODS.items()]
@@ -24,7 +24,9 @@ def main() -> int:
         formatter_class=argparse.RawDescriptionHelpFormatter,
         allow_abbrev=False,
     )
-    parser.add_argument("--method", choices=METHODS, required=True, help="whose code the script is of, below")
+    parser.add_argument(
+        "--method", choices=METHODS, help="whose code the script is of, below. Default: seen from what it imports"
+    )
     parser.add_argument("--curve", type=Path, metavar="FILE", help="CSV to write the loss over steps and seconds to")
     parser.add_argument("--without-lpips", action="store_true", help="LPIPS, whose weights are fetched, is left out")
     parser.add_argument(
@@ -37,9 +39,10 @@ def main() -> int:
     parser.add_argument("script", type=Path, metavar="SCRIPT")
     parser.add_argument("arguments", nargs=argparse.REMAINDER, metavar="ARGS")
     options = parser.parse_args()
-    method, script = METHODS[options.method], options.script
-    print(f"gof baseline: {method.title}, {provenance(method, script)}; licence: {method.licence}", flush=True)
+    script = options.script
     try:
+        method = method_of(options.method, script)
+        print(f"gof baseline: {method.title}, {provenance(method, script)}; licence: {method.licence}", flush=True)
         if options.trajectory:
             if len(options.arguments) != 2:
                 parser.error("--trajectory FILE SCRIPT needs the training's output folder and the dataset, no more")

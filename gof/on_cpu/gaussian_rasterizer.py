@@ -8,6 +8,7 @@
 
 As there: alpha at most 0.99, at least 1/255; depth above 0.2; 0.3 px^2 added; quaternions taken as they are, not
 normalised; the gradient that `means2D` gets is per half picture (NDC), which thresholds of densification count in.
+`means2D_densify`, of Deformable-3DGS, gets sums over pixels of absolute gradients (AbsGS; its branch is not public).
 Different: a clamped alpha passes no gradient (there it does); a radius is of the wider axis at 3 standard deviations.
 """
 
@@ -93,10 +94,12 @@ class PlainRasterizer(_Rasterizer):
         scales=None,
         rotations=None,
         cov3D_precomp=None,
+        means2D_densify=None,
     ):
         covariance = _covariance(self.raster_settings, scales, rotations, cov3D_precomp)
+        colors = (shs, colors_precomp)
         color, radii, depth, _ = draw(
-            self.raster_settings, means3D, means2D, opacities, shs, colors_precomp, covariance, depth=self.depth
+            self.raster_settings, means3D, means2D, opacities, *colors, covariance, self.depth, means2D_densify
         )
         return (color, radii, depth) if self.depth else (color, radii)
 
@@ -191,11 +194,31 @@ def harmonics_at(settings, shs, ts):
     return sum(torch.cos(k * phase) * shs[:, 16 * k : 16 * (k + 1)] for k in range(bands + 1))
 
 
-def draw(settings, means3D, means2D, opacities, shs, colors_precomp, covariance, depth=True):
+class _Probe(torch.autograd.Function):
+    """Where the 2D means are told their gradient: its sum for one tensor, sums of absolute ones for another.
+
+    The rasteriser's backward pass comes before this one's and has left the latter at the probe that this returns.
+    """
+
+    @staticmethod
+    def forward(ctx, means2D, means2D_densify, half, made):
+        ctx.half, ctx.made, ctx.widths = half, made, (means2D.shape[1], means2D_densify.shape[1])
+        return torch.zeros(1, len(means2D), 2)
+
+    @staticmethod
+    def backward(ctx, grad):
+        (probe,) = ctx.made
+        told = (grad[0] * ctx.half, probe.absgrad[0] * ctx.half)
+        padded = (torch.nn.functional.pad(rows, (0, wide - 2)) for rows, wide in zip(told, ctx.widths, strict=True))
+        return *padded, None, None
+
+
+def draw(settings, means3D, means2D, opacities, shs, colors_precomp, covariance, depth=True, means2D_densify=None):
     """Return one picture.
 
     Args:
         means3D: (N, 3).  means2D: (N, 2 or more) that gets the gradient per half picture, or None.
+        means2D_densify: (N, 2 or more) that gets sums of absolute gradients, or None.
         opacities: (N,) or (N, 1).  shs: (N, K, 3), or colors_precomp: (N, D).  covariance: (N, 3, 3).
     Returns:
         color (D, H, W), radii (N,) int32, depth (1, H, W) or None, alpha (1, H, W).
@@ -207,9 +230,14 @@ def draw(settings, means3D, means2D, opacities, shs, colors_precomp, covariance,
     width, height = int(settings.image_width), int(settings.image_height)
     view, K = _camera(settings, width, height)
     background = settings.bg.reshape(1, -1)
+    half = torch.tensor([0.5 * width, 0.5 * height])
     probe = None
-    if means2D is not None:
-        probe = (means2D[:, :2] * torch.tensor([0.5 * width, 0.5 * height]))[None]
+    if means2D_densify is not None:
+        made: list[torch.Tensor] = []
+        probe = _Probe.apply(means2D, means2D_densify, half, made)
+        made.append(probe)
+    elif means2D is not None:
+        probe = (means2D[:, :2] * half)[None]
     image, alpha, info = rasterize(
         means3D,
         None,
@@ -226,6 +254,7 @@ def draw(settings, means3D, means2D, opacities, shs, colors_precomp, covariance,
         render_mode="RGB+D" if depth else "RGB",
         covars=covariance,
         means2d=probe,
+        absgrad=means2D_densify is not None,
     )
     channels = background.shape[1]
     planes = image[0].permute(2, 0, 1)
@@ -239,6 +268,11 @@ def _camera(settings, width: int, height: int):
     w = projection[3, 2]
     fx, fy = width / (2 * settings.tanfovx), height / (2 * settings.tanfovy)
     seen = torch.stack([projection[0, 0], projection[1, 1]]) / w * torch.tensor([width / 2, height / 2])
+    if width != height and abs(fx / fy / (width / height) ** 2 - 1) < SAME:
+        raise DataFormatError(
+            f"diff_gaussian_rasterization: the fields of view across and down are exchanged ({width}x{height} px with "
+            f"focal lengths {fx:.6g} and {fy:.6g} px), as some D-NeRF readers do; train on the 'nerfds' view"
+        )
     told = torch.tensor([fx, fy], dtype=torch.float32)
     if not torch.allclose(seen, told, rtol=SAME):
         raise DataFormatError(

@@ -14,7 +14,8 @@ from gof.core.errors import GofError, MissingDependencyError
 from gof.host.processes import run
 from gof.on_cpu import gaussian_rasterizer, methods
 from gof.on_cpu.devices import CpuForCuda, replace_cuda
-from gof.on_cpu.methods import Method, replace_gsplat
+from gof.on_cpu.imports import missing
+from gof.on_cpu.methods import REPAIRS, Method, replace_gsplat
 from gof.on_cpu.small_modules import Unused
 from gof.render import gsplat
 
@@ -56,8 +57,6 @@ def export(method: Method, script: Path, model: Path, dataset: Path, out: Path) 
 
 
 def _begin(method: Method, script: Path, mode: CpuForCuda) -> None:
-    if not script.is_file():
-        raise GofError(f"{script}: no such script; give the path of a script in your checkout")
     os.environ.setdefault("MPLBACKEND", "agg")  # otherwise matplotlib opens a window by tkinter, which may be missing
     replace_cuda(mode)
     prepare(method)
@@ -66,13 +65,13 @@ def _begin(method: Method, script: Path, mode: CpuForCuda) -> None:
 
 def prepare(method: Method) -> None:
     """Repairs, then stand-ins. Raises MissingDependencyError: the method's code would not find a library."""
-    try:
-        for repair in method.repairs:
-            repair()
-        if method.gsplat:
-            replace_gsplat()
-    except ModuleNotFoundError as e:
-        raise MissingDependencyError(f"{method.title} needs {e.name}: docs/baselines.md lists its packages") from e
+    absent = missing({*method.needs, *(["gsplat"] if method.gsplat else [])})
+    if absent:
+        raise MissingDependencyError(f"{method.title} needs {', '.join(absent)}: docs/baselines.md lists its packages")
+    for repair in REPAIRS:
+        repair()
+    if method.gsplat:
+        replace_gsplat()
     for name, build in method.modules.items():
         put(name, build())
     for name in method.unused:
@@ -99,6 +98,17 @@ def _count_gaussians(record: Curve) -> None:
         return draw(means, *args, **kwargs)
 
     gaussian_rasterizer.rasterize = gsplat.rasterize = counted
+
+
+def method_of(name: str | None, script: Path) -> Method:
+    """Return a listed method by its name, or one found out by what the script imports.
+
+    Raises:
+        GofError: no such script, or a rasteriser without a stand-in.
+    """
+    if not script.is_file():
+        raise GofError(f"{script}: no such script; give the path of a script in your checkout")
+    return methods.METHODS[name] if name else methods.by_imports(script)
 
 
 def provenance(method: Method, script: Path) -> str:

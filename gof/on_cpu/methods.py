@@ -14,19 +14,22 @@ import numpy as np
 import torch
 
 from gof.core.errors import GofError
-from gof.on_cpu import export_wu
+from gof.on_cpu import export, hash_grid
 from gof.on_cpu import gaussian_rasterizer as inria
 from gof.on_cpu import small_modules as small
+from gof.on_cpu.imports import ONLY_IF_ABSENT, RASTERIZER, STAND_INS, missing, read_imports
 from gof.render.gsplat import rasterization
 
 # ----------------------------------------------------------------
-# Repairs of what libraries stopped doing since the methods were written. None touches a file of theirs.
+# Repairs of what libraries stopped doing since the methods were written, made for every method. None touches a file.
 
 _kept: list[torch.library.Library] = []  # declarations last as long as these
 
 
 def pictures_of_signed_bytes() -> None:
-    """`PIL.Image.fromarray` took int8 for the bytes they are; newer ones refuse. (4DGS of Yang, Deformable-3DGS)"""
+    """`PIL.Image.fromarray` took int8 for the bytes they are; newer ones refuse. (D-NeRF readers)"""
+    if find_spec("PIL") is None:
+        return
     image = import_module("PIL.Image")
     original = image.fromarray
 
@@ -42,7 +45,7 @@ def torchvision_without_its_operators() -> None:
     """Declare two operators that a torchvision built for another PyTorch wants, which nothing here calls."""
     spec = find_spec("torchvision")
     if spec is None or spec.origin is None:
-        raise ModuleNotFoundError("No module named 'torchvision'", name="torchvision")
+        return
     try:
         for compiled in Path(spec.origin).parent.glob("_C*"):
             torch.ops.load_library(str(compiled))
@@ -70,6 +73,9 @@ def perceptual_loss_left_out() -> None:
         vars(import_module(module)).update(LearnedPerceptualImagePatchSimilarity=NoPerceptualLoss)
 
 
+REPAIRS = (torchvision_without_its_operators, pictures_of_signed_bytes, no_restart)
+
+
 @dataclass(frozen=True)
 class Method:
     """One method.
@@ -77,7 +83,7 @@ class Method:
     Attributes:
         title, licence: of the method's code.   repository: on GitHub.   commit: a commit that is known to run.
         modules: stand-ins by the names that the code imports.   unused: modules it imports and does not use.
-        repairs: done before the script begins.   gsplat: its rasteriser is gsplat's.
+        needs: packages it cannot begin without.   gsplat: its rasteriser is gsplat's.
         export: (output folder, dataset, file) writes a trajectory and says what; None: its own files are imported.
     """
 
@@ -87,7 +93,7 @@ class Method:
     licence: str
     modules: dict[str, Callable[[], ModuleType]] = field(default_factory=dict)
     unused: tuple[str, ...] = ()
-    repairs: tuple[Callable[[], None], ...] = ()
+    needs: tuple[str, ...] = ()
     gsplat: bool = False
     export: Callable[[Path, Path, Path], str] | None = None
 
@@ -104,8 +110,8 @@ METHODS = {
             "mmcv": small.mmcv,
         },
         unused=("open3d", "tkinter", "lpips"),
-        repairs=(torchvision_without_its_operators, no_restart),
-        export=export_wu.export,
+        needs=("torchvision",),
+        export=export.export_wu,
     ),
     "yang": Method(
         title="4D Gaussian Splatting (Yang et al.)",
@@ -118,7 +124,7 @@ METHODS = {
             "kornia": small.kornia,
         },
         unused=("pointops2_cuda",),
-        repairs=(torchvision_without_its_operators, pictures_of_signed_bytes),
+        needs=("torchvision",),
     ),
     "freetime": Method(
         title="FreeTimeGsVanilla, a re-implementation of FreeTimeGS",
@@ -127,8 +133,32 @@ METHODS = {
         licence="AGPL-3.0",
         modules={"fused_ssim": small.fused_ssim},
         unused=("kornia", "plas"),
-        repairs=(torchvision_without_its_operators,),
+        needs=("torchvision",),
         gsplat=True,
+    ),
+    "grid4d": Method(
+        title="Grid4D",
+        repository="JiaweiXu8/Grid4D",
+        commit="c9a93fb7d399d332c27e585ac05f9d6cfa31f250",
+        licence="none is stated; its parts of 3D Gaussian Splatting for research only",
+        modules={
+            "diff_gaussian_rasterization": lambda: inria.module("depth"),
+            "simple_knn._C": small.simple_knn,
+            "hashencoder.backend": hash_grid.backend,
+        },
+        unused=("cachetools",),
+        export=export.export_grid4d,
+    ),
+    "deformable": Method(
+        title="Deformable 3D Gaussians",
+        repository="ingra14m/Deformable-3D-Gaussians",
+        commit="ac423728df780ee57a82025a6d7c4c7312fdf9bb",
+        licence="MIT; its parts of 3D Gaussian Splatting for research only",
+        modules={
+            "diff_gaussian_rasterization": lambda: inria.module("depth"),
+            "simple_knn._C": small.simple_knn,
+        },
+        export=export.export_deformable,
     ),
     "3dgs": Method(
         title="code that calls 3D Gaussian Splatting's rasteriser as it was first published",
@@ -149,6 +179,33 @@ METHODS = {
         gsplat=True,
     ),
 }
+
+
+def by_imports(script: Path) -> Method:
+    """Return a method for code that is not listed: stand-ins by what it imports; packages that it lacks are empty.
+
+    Raises:
+        GofError: it calls a rasteriser that has no stand-in.
+    """
+    found = read_imports(script)
+    modules = {name: STAND_INS[name] for name in sorted(found.others) if name in STAND_INS}
+    if RASTERIZER in found.others:
+        variant = found.variant()
+        modules[RASTERIZER] = lambda: inria.module(variant)
+    rest = found.others - set(modules)
+    absent = missing(rest)
+    modules = {name: build for name, build in modules.items() if name not in ONLY_IF_ABSENT or missing({name})}
+    stood_in = ", ".join(modules) or "nothing"
+    lacks = f"; not installed, and an error once it is used: {', '.join(absent)}" if absent else ""
+    return Method(
+        title=f"a method that is not listed (stand-ins for {stood_in}{lacks})",
+        repository="",
+        commit="",
+        licence="see its checkout",
+        modules=modules,
+        unused=tuple(sorted(name for name in rest if name.partition(".")[0] in absent)),
+        gsplat="gsplat" not in absent and any(name.partition(".")[0] == "gsplat" for name in rest),
+    )
 
 
 def replace_gsplat() -> None:

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from importlib import import_module
+import runpy
+from pathlib import Path
 from types import ModuleType
 from typing import Any
 
@@ -63,11 +64,32 @@ def mean_ssim(img1, img2, padding: str = "same", train: bool = True):
 
 
 def mmcv() -> ModuleType:
-    """`mmcv` of before version 2: `Config`, which lives in `mmengine` today."""
-    try:
-        return stand_in("mmcv", Config=import_module("mmengine.config").Config)
-    except ModuleNotFoundError as e:
-        raise MissingDependencyError(f"this method reads its configurations with mmengine, which needs {e.name}") from e
+    """`mmcv` of before version 2: `Config.fromfile`. (Its successor's package brings another OpenCV over ours.)"""
+    return stand_in("mmcv", Config=stand_in("Config", fromfile=read_settings))
+
+
+def read_settings(path) -> dict[str, Any]:
+    """Return the names that a settings file in Python defines, over those of its `_base_` file or files.
+
+    Dictionaries are merged name by name; one with `_delete_=True` replaces the older one.
+    """
+    defined = {name: value for name, value in runpy.run_path(str(path)).items() if not name.startswith("__")}
+    bases = defined.pop("_base_", [])
+    read: dict[str, Any] = {}
+    for base in [bases] if isinstance(bases, str) else bases:
+        read = _merged(read, read_settings(Path(path).parent / base))
+    return _merged(read, {name: value for name, value in defined.items() if not isinstance(value, ModuleType)})
+
+
+def _merged(old: dict[str, Any], new: dict[str, Any]) -> dict[str, Any]:
+    merged = dict(old)
+    for name, value in new.items():
+        if isinstance(value, dict):
+            rest = {key: entry for key, entry in value.items() if key != "_delete_"}
+            older = merged.get(name)
+            value = _merged(older if isinstance(older, dict) and not value.get("_delete_") else {}, rest)
+        merged[name] = value
+    return merged
 
 
 def kornia() -> ModuleType:

@@ -93,12 +93,13 @@ def rasterize(
             how gsplat works (which layout its intermediates have, how many pixels share a list, how many channels are
             drawn at a time), not what it returns.
         sparse_grad: must be False; gradients are dense.
-        absgrad: the backward pass also fills `.absgrad` of "means2d", (C, N, 2): the sum over pixels of |dL/d(mean)|.
+        absgrad: the backward pass also fills `.absgrad` of the probe, `means2d` or the leaf that is returned, with
+            (C, N, 2): the sum over pixels of |dL/d(mean)|.
             At most 8 channels then, depth counted.
         covars: (N, 3, 3) world covariances instead of quats and scales, which are None then; the upper triangle is read
             and gets the gradient.
         means2d: (C, N, 2), a tensor of the caller's that gets the gradient of the 2D means, per px, through whatever
-            made it; its values are not read. Not with absgrad. None: a new leaf, which is returned.
+            made it; its values are not read. None: a new leaf, which is returned.
         max_alpha: the clamp of alpha; gsplat's is 0.999.
     Returns:
         colors (C, H, W, X), alphas (C, H, W, 1), and an `Info` with width, height, n_cameras, and per camera and
@@ -138,8 +139,8 @@ def rasterize(
             raise DataFormatError("'covars' stands instead of 'quats' and 'scales'; give None for these")
         upper, right = np.triu_indices(3)
         covars = covars[:, upper, right]
-    if means2d is not None and (tuple(means2d.shape) != (c, n, 2) or absgrad):
-        raise DataFormatError(f"'means2d' has shape {tuple(means2d.shape)}, expected {(c, n, 2)}, without absgrad")
+    if means2d is not None and tuple(means2d.shape) != (c, n, 2):
+        raise DataFormatError(f"'means2d' has shape {tuple(means2d.shape)}, expected {(c, n, 2)}")
     if sh_degree is not None:
         colors = colors[..., : (sh_degree + 1) ** 2, :]
     per_camera = colors.ndim == (3 if sh_degree is None else 4)

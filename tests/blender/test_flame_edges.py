@@ -37,5 +37,8 @@ def test_a_flame_that_is_cut_off_is_said(tmp_path):
     layout.bake_marker.write_text(json.dumps({"cut_off": found["column"]}))
     (note,) = leaving(layout)
     assert "through its top (30 % of its widest section)" in note and "domain.size" in note
+    layout.spec.write_text(json.dumps({"fire": {"grids": "elsewhere"}}))
+    (note,) = leaving(layout)
+    assert "domain.size" not in note and "only its solver" in note
     layout.bake_marker.write_text("{}")
     assert leaving(layout) == [], "of an older version"

@@ -18,7 +18,7 @@ def write(root: Path) -> Path:
     dataset(root)
     from gof_benchmark import views
 
-    for name in ("dnerf", "points", "n3v", "multipleview", "hypernerf", "freetimegs"):
+    for name in ("dnerf", "points", "n3v", "multipleview", "hypernerf", "nerfds", "freetimegs"):
         views.write(name, root)
     return root
 

@@ -15,14 +15,12 @@ from gof.core.errors import DataFormatError
 
 torch = pytest.importorskip("torch")
 pytest.importorskip("drjit")
-from gof.on_cpu.export_wu import clock_of  # noqa: E402
+from gof.on_cpu.export import clock_of  # noqa: E402
 
 TRAINERS = Path(__file__).parent / "trainers"
 ROOT = Path(__file__).parents[2]
 # Written here because the libraries themselves are heavy: what the stand-ins of ours take hold of in them.
 PACKAGES = {
-    "mmengine/__init__.py": "",
-    "mmengine/config.py": "class Config:\n    @staticmethod\n    def fromfile(path):\n        return path\n",
     "gsplat/__init__.py": "from gsplat.rendering import rasterization\n",
     "gsplat/rendering.py": "def rasterization(*args, **kwargs):\n    raise RuntimeError('needs CUDA')\n",
     "gaussian_renderer/__init__.py": "from .diff_gaussian_rasterization import *\n",
@@ -157,7 +155,7 @@ def test_wus_clock_is_that_of_the_layout():
     """Its HyperNeRF reader ends at 1, its "multiple view" reader a frame before; of others nothing is known."""
     assert clock_of(Path("data/hypernerf"), 5).tolist() == [0, 0.25, 0.5, 0.75, 1]
     assert clock_of(Path("/elsewhere/multipleview"), 5).tolist() == pytest.approx([0, 0.2, 0.4, 0.6, 0.8])
-    with pytest.raises(DataFormatError, match="neither a 'hypernerf' nor a 'multipleview' view"):
+    with pytest.raises(DataFormatError, match="none of the views hypernerf, nerfds, multipleview"):
         clock_of(Path("data/dynerf"), 5)
 
 
@@ -284,6 +282,34 @@ def test_wus_dynerf_reader_reads_the_published_form(run, views, tmp_path):
     np.testing.assert_allclose(np.array(read["R"]).T, camera.world_to_camera[:3, :3], atol=1e-9)
     np.testing.assert_allclose(read["T"], camera.world_to_camera[:3, 3], atol=1e-9)
     assert read["focal"] == pytest.approx(1352 * 2 * camera.K[0, 0] / 216)  # 48x80, doubled, in 216x162
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("method, options", [("grid4d", ["--conf"]), ("deformable", ["--eval", "--warm_up", 10])])
+def test_a_network_beside_its_gaussians(run, views, tmp_path, method, options):
+    """Grid4D with its own hash encoder over our stand-in, and Deformable-3DGS: trained, and sampled as they move."""
+    from gof.io.importers import read_result
+
+    code_folder = checkout(method.upper())
+    if method == "grid4d":
+        (tmp_path / "short.py").write_text("warm_up = 10\ndeform_lr_max_steps = position_lr_max_steps = 80\n")
+        options = [*options, tmp_path / "short.py"]
+    script, model = code_folder / "train.py", tmp_path / "model"
+    words = ["-s", views / "NeRF/nerfds", "-m", model, *options, "--iterations", 80, "--save_iterations", 80]
+    words += ["--test_iterations", -1]
+    code, out, err = run("--curve", tmp_path / "c.csv", script, *words, packages=False)  # seen from what it imports
+    assert code == 0 and "simple_knn._C" in out, err[-3000:]
+    losses = [float(row["loss"]) for row in csv.DictReader((tmp_path / "c.csv").open())]
+    assert losses[-1] < losses[0] and unchanged(code_folder)
+    saved = tmp_path / "moved.npz"
+    code, out, err = run("--method", method, "--trajectory", saved, script, model, views, packages=False)
+    assert code == 0, err[-3000:]
+    trajectory = read_result(saved).gaussians
+    assert trajectory.position.shape[0] == 15 and np.abs(trajectory.velocity).max() > 0
+    if method == "grid4d":  # the other's encodes time up to 2^9: young, its derivative is noise between half frames
+        step = trajectory.time_s[1] - trajectory.time_s[0]
+        centre = (trajectory.position[2:] - trajectory.position[:-2]) / (2 * step)
+        assert np.linalg.norm(trajectory.velocity[1:-1] - centre) / np.linalg.norm(centre) < 0.8
 
 
 @pytest.mark.slow

@@ -1,7 +1,10 @@
 """Stand-ins for compiled modules, argument by argument against the renderer's float64 twin."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from gof.core.errors import DataFormatError, MissingDependencyError
 from gof.render import reference
@@ -12,6 +15,7 @@ pytest.importorskip("drjit")
 
 from gof.on_cpu import gaussian_rasterizer as inria  # noqa: E402
 from gof.on_cpu import small_modules  # noqa: E402
+from gof.on_cpu.export import as_drawn  # noqa: E402
 
 pytestmark = pytest.mark.usefixtures("kernels")
 NEAR, FAR = 0.2, 100.0
@@ -174,6 +178,37 @@ def test_gradients_equal_central_differences():
     assert not have[:, 2].any()
 
 
+def test_absolute_gradients_go_to_a_tensor_of_their_own():
+    """Sums over pixels of absolute gradients, by drawing each pixel's part alone; the other tensor gets the sum."""
+    g, cam = gaussians(4, seed=8), camera(12, 9)
+    weight = np.random.default_rng(2).normal(size=(3, 9, 12)).astype(np.float32)
+
+    def told(mask, densify):
+        tensors = arguments(g, grad=True)
+        if densify:
+            tensors["means2D_densify"] = torch.zeros(4, 3, requires_grad=True) + 0
+            tensors["means2D_densify"].retain_grad()
+        color, _, _ = inria.module("depth").GaussianRasterizer(settings(cam))(**tensors)
+        (color * torch.tensor(weight * mask)).sum().backward()
+        return [tensors[name].grad.numpy() for name in ("means2D", "means2D_densify") if name in tensors]
+
+    plain, absolute = told(np.ones((9, 12), np.float32), densify=True)
+    pixels = np.eye(9 * 12, dtype=np.float32).reshape(-1, 9, 12)
+    alone = np.stack([told(pixel, densify=False)[0] for pixel in pixels])
+    assert np.abs(alone).max() > 0
+    np.testing.assert_allclose(absolute, np.abs(alone).sum(0), rtol=1e-3, atol=1e-5)
+    np.testing.assert_allclose(plain, alone.sum(0), rtol=1e-3, atol=1e-4)
+
+
+def test_exchanged_fields_of_view_are_named():
+    """As D-NeRF readers of Grid4D and Deformable-3DGS have them: the angle across given as the one down."""
+    cam, focal = camera(40, 30), 50.0
+    swapped = np.array([[focal * 40 / 30, 0, 20], [0, focal * 30 / 40, 15], [0, 0, 1]])
+    wrong = replace(cam, K=swapped)
+    with pytest.raises(DataFormatError, match="exchanged.*40x30.*'nerfds'"):
+        inria.module("depth").GaussianRasterizer(settings(wrong))(**arguments(gaussians(3)))
+
+
 def test_what_contradicts_itself_is_refused():
     cam, g = camera(40, 30), gaussians(4)
     with pytest.raises(TypeError, match="antialiasing"):
@@ -331,6 +366,44 @@ def test_ssim_and_its_edge():
 def test_the_pixel_grid():
     grid = small_modules.kornia().create_meshgrid(2, 3, normalized_coordinates=False)
     assert grid.shape == (1, 2, 3, 2) and grid[0, 1, 2].tolist() == [2.0, 1.0]
+
+
+def test_ellipsoids_of_quaternions_of_any_length_are_those_that_are_drawn():
+    """A quaternion of another length is no rotation: scales and unit quaternions give the same covariance again."""
+    rng = np.random.default_rng(6)
+    scale = rng.uniform(0.01, 0.1, (50, 3)) * rng.choice([-1, 1], (50, 3))  # a network may turn the sign
+    quaternion = rng.normal(size=(50, 4))
+    quaternion *= rng.uniform(0.7, 1.4, (50, 1)) / np.linalg.norm(quaternion, axis=1, keepdims=True)
+    scale[0] = 0.02  # a ball
+    w, x, y, z = quaternion.T
+    turned = np.array(  # the matrix that rasterisers form of a quaternion, whatever its length
+        [
+            [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
+            [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
+            [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
+        ]
+    ).transpose(2, 0, 1)
+    want = np.einsum("nij,nj,nkj->nik", turned, scale**2, turned)
+    found, unit = as_drawn(torch.tensor(scale), torch.tensor(quaternion))
+    np.testing.assert_allclose(np.linalg.norm(unit, axis=1), 1, atol=1e-12)
+    axes = Rotation.from_quat(unit[:, [1, 2, 3, 0]]).as_matrix()
+    np.testing.assert_allclose(np.einsum("nij,nj,nkj->nik", axes, found**2, axes), want, atol=1e-12)
+    proper = quaternion / np.linalg.norm(quaternion, axis=1, keepdims=True)
+    found, unit = as_drawn(torch.tensor(np.abs(scale)), torch.tensor(proper))
+    np.testing.assert_allclose(found, np.abs(scale), atol=1e-9)  # in the order that they were given in
+    np.testing.assert_allclose(np.abs((unit[1:] * proper[1:]).sum(1)), 1, atol=1e-9)
+
+
+def test_settings_in_python_stand_over_their_base(tmp_path):
+    """As mmengine merges them: name by name within dictionaries, wholly where one says so."""
+    (tmp_path / "base.py").write_text("import os\nA = dict(x=1, y=dict(z=2, w=3))\nB = dict(p=1)\nC = [1, 2]\n")
+    (tmp_path / "mine.py").write_text(
+        "_base_ = './base.py'\nA = dict(y=dict(z=5))\nB = dict(_delete_=True, q=2)\nC = [3]\nD = len(C)\n"
+    )
+    read = small_modules.mmcv().Config.fromfile(str(tmp_path / "mine.py"))
+    assert read == {"A": {"x": 1, "y": {"z": 5, "w": 3}}, "B": {"q": 2}, "C": [3], "D": 1}
+    (tmp_path / "mine.py").write_text("_base_ = ['base.py']\n")
+    assert small_modules.mmcv().Config.fromfile(tmp_path / "mine.py")["A"]["y"] == {"z": 2, "w": 3}
 
 
 def test_a_module_that_is_not_used_may_be_imported_and_no_more():

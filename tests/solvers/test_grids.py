@@ -8,8 +8,9 @@ import pytest
 
 from gof.core.errors import DataFormatError, NonFiniteError
 from gof.core.fields import VelocitySequence
-from gof.core.fire import FireDescription
+from gof.core.fire import FireDescription, Hearth
 from gof.core.records import from_json, to_json
+from gof_benchmark.fires.flames import of_grids
 from gof_benchmark.solvers.grids import FireFrame, FireGrids, FireHistory, write_fire
 from tests.solvers.conftest import write_small_fire
 
@@ -83,6 +84,50 @@ def test_nothing_is_written_over_and_nothing_bad_is_written(tmp_path):
             np.eye(4),
             lambda k: FireFrame(sizes[k], sizes[k]),
         )
+
+
+def test_grids_in_half_precision_are_stored_as_they_are(tmp_path):
+    """What the solver rounded comes back to the bit, in half the bytes; precision may not change within a clip."""
+    rng = np.random.default_rng(4)
+    velocity = rng.normal(size=(2, 8, 8, 8, 3)).astype(np.float16)
+    light = rng.uniform(size=(2, 8, 8, 8, 3))
+    about = FireDescription("x", "x", (0.0, 0.1), "x")
+    fire = write_fire(tmp_path / "half", about, np.eye(4), lambda k: FireFrame(velocity[k], light[k]))
+    for k in range(2):
+        assert fire.velocity.frame(k).velocity.dtype == np.float16
+        np.testing.assert_array_equal(fire.velocity.frame(k).velocity, velocity[k])
+        assert fire.grids["emission"].cells(k).dtype == np.float32
+    fire.check()
+    whole = write_fire(
+        tmp_path / "whole", about, np.eye(4), lambda k: FireFrame(velocity[k].astype(np.float32), light[k])
+    )
+    sizes = [sum(p.stat().st_size for p in (f.path / "velocity.zarr/c").rglob("*")) for f in (fire, whole)]
+    assert sizes[0] < sizes[1]
+    mixed = [velocity[0], velocity[1].astype(np.float32)]
+    with pytest.raises(DataFormatError, match="frame 1 has .* another precision"):
+        write_fire(tmp_path / "mixed", about, np.eye(4), lambda k: FireFrame(mixed[k], light[k]))
+
+
+def test_measures_of_a_half_precise_fire_are_those_of_a_whole_one(tmp_path):
+    """Sums over a fire overflow half precision: they are not taken in it."""
+
+    def frame(kind):
+        light = np.zeros((40, 40, 8, 3), kind)
+        light[4:36, 4:36, :6] = 30.0
+        velocity = np.full((40, 40, 8, 3), 3.0, kind)
+        return FireFrame(velocity, light, heat_release=np.full((40, 40, 8), 2e4, kind))
+
+    box = np.diag([0.05, 0.05, 0.05, 1.0])
+    box[:2, 3] = -1.0
+    about = FireDescription("x", "x", (0.0, 0.1), "x", hearths=(Hearth(30.0, 0.2, (0.0, 0.0, 0.0), 0.02),))
+    found = [
+        of_grids(write_fire(tmp_path / kind, about, box, lambda k, kind=kind: frame(kind)))
+        for kind in ("float16", "float32")
+    ]
+    assert found[0].truth.heat_burnt_kw == pytest.approx(2e4 * 40 * 40 * 8 * 0.05**3 / 1e3)
+    for name, value in vars(found[1].truth).items():
+        if isinstance(value, float):
+            assert getattr(found[0].truth, name) == pytest.approx(value, rel=1e-3, nan_ok=True), name
 
 
 def test_negative_light_is_found(tmp_path):
