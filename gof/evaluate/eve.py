@@ -24,10 +24,10 @@ import numpy as np
 
 from gof.core.fields import VelocitySequence
 from gof.core.gaussians import MovingGaussians, TransientGaussians
-from gof.evaluate.draws import own_generator
 from gof.evaluate.dve_frame import DVEResult, Sums, agreement_sums
 from gof.evaluate.emission import FlameGrid
 from gof.evaluate.expectation import expected_velocity
+from gof.evaluate.intervals import own_generator
 from gof.evaluate.sparse_grid import StoredField, StoredFields, fields_of
 from gof.evaluate.visible import opacity_per_metre
 

@@ -19,10 +19,9 @@ import numpy as np
 from gof.core.errors import DataFormatError
 from gof.core.numbered import frame_of, is_hidden, number_files
 from gof.footage.colour import UNKNOWN, Colour
-from gof.footage.combs import find_combs
 from gof.footage.containers import codes_fields, film_track, made_at, video_tracks
+from gof.footage.defects import Changes, find_combs
 from gof.footage.pictures import read_picture, read_rotation
-from gof.footage.repeats import Changes
 
 PICTURES = (".png", ".jpg", ".jpeg", ".tif", ".tiff", ".bmp")
 UNREAD = frozenset(
@@ -54,7 +53,7 @@ class VideoInfo:
         pixel_aspect: width of a pixel over its height, as players show it.
         start_s: time of the first frame on the file's own clock; stamps_s count from it.
         two_fields: container or codec allow interlaced frames.
-        repeated: numbers of the frames that show the one before again, see `gof.footage.repeats`.
+        repeated: numbers of the frames that show the one before again, see `gof.footage.defects`.
         made_s: when the file says that it was made, s since 1970; None: it does not.
     """
 

@@ -8,10 +8,10 @@ from math import ceil
 import numpy as np
 
 from gof_benchmark.training.factory.light import LAWS, Law
-from gof_blender.pure.clip import Clip
 from gof_blender.pure.effects import vorticity, wind
 from gof_blender.pure.fires import Domain, Fire
 from gof_blender.pure.spec import SceneSpec
+from gof_blender.pure.timing import Clip
 
 KINDS = ("pool", "jet", "ball", "wind", "logs")
 FUELS = ("propane_high", "propane_low", "wood", "gasoline", "paper")
