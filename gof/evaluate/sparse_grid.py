@@ -10,7 +10,7 @@ import os
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, reduce
 from typing import Any
 
 import numpy as np
@@ -73,10 +73,10 @@ class StoredField:
     def chunk(self, number: tuple[int, int, int]) -> np.ndarray | None:
         """As `VelocityField.chunk`; linear between stored frames."""
         stored = [(self.sequence.chunk(index, number), weight) for index, weight in self._parts]
-        stored = [(cells, weight) for cells, weight in stored if cells is not None]
-        if len(self._parts) == 1 or not stored:
-            return stored[0][0] if stored else None
-        return sum(np.float32(weight) * cells.astype(np.float32) for cells, weight in stored)
+        there = [(cells, weight) for cells, weight in stored if cells is not None]
+        if len(self._parts) == 1 or not there:
+            return there[0][0] if there else None
+        return reduce(np.add, (np.float32(weight) * cells.astype(np.float32) for cells, weight in there))
 
     def sample(self, points: np.ndarray) -> np.ndarray:
         """As `VelocityField.sample`; reads the chunks around the points, POOL_BYTES of them at a time."""
