@@ -223,6 +223,7 @@ def _means(places: ClipPlaces) -> dict[str, np.ndarray]:
 
 def _jackknife(values: list[float | None]) -> float | None:
     """Return the standard deviation of a figure from its values without one group of places each."""
-    if any(value is None for value in values):
+    known = [value for value in values if value is not None]
+    if len(known) < len(values):
         return None
-    return float(np.sqrt((len(values) - 1) * np.var(values)))
+    return float(np.sqrt((len(known) - 1) * np.var(known)))

@@ -181,10 +181,10 @@ def require_one_length(videos: list[VideoInfo], clocks: list[np.ndarray]) -> Non
     step = max(np.median(np.diff(clock)) if len(clock) > 1 else 0.0 for clock in clocks)
     if max(lasts) - min(lasts) > 0.5 * step:
         each = ", ".join(f"{video.path.name} {video.frames}" for video in videos)
-        zeros = " ".join("0" for _ in videos)
+        zeros, fewest = " ".join("0" for _ in videos), min(video.frames or 0 for video in videos)
         raise GofError(
             f"the clips differ in length (frames: {each}): do they begin together? If so, say how many frames to use, "
-            f"as --frames {min(video.frames or 0 for video in videos)}; if not, give a frame of each that was taken at the "
+            f"as --frames {fewest}; if not, give a frame of each that was taken at the "
             f"same moment, as --start {zeros}, or film the board and use 'gof capture sync'",
             anchor="the-clips-differ-in-length",
         )

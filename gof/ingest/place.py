@@ -85,7 +85,7 @@ def place_cameras(
     if options.solver == "points" or (options.solver == "auto" and attempts[0].refused):
         attempts.append(_from_points(solved.features, points, lenses, names))
     chosen = attempts[-1]
-    if chosen.refused:
+    if chosen.model is None or chosen.refused:
         raise sfm.PoseError(_advice(attempts, solved.figures, clips[0].notes), anchor=UNSOLVED)
 
     # ---- metres, and the world's axes --------------------------------------------------------------------------------
@@ -263,15 +263,15 @@ def flame_ends(clip: Collection[np.ndarray], plate: np.ndarray) -> tuple[np.ndar
     Raises:
         GofError: no picture shows flame.
     """
-    fire_free, ever = np.float32(plate / 255), np.zeros(plate.shape[:2], bool)
+    fire_free, ever = (plate / 255).astype(np.float32), np.zeros(plate.shape[:2], bool)
     for picture in clip:
-        ever |= flame_mask(np.float32(picture / 255), fire_free, grow_px=GROWN_PX)
+        ever |= flame_mask((picture / 255).astype(np.float32), fire_free, grow_px=GROWN_PX)
     _, label, stats, _ = cv2.connectedComponentsWithStats(ever.astype(np.uint8))
     if len(stats) < 2:
         raise GofError("the only camera shows no flame: nothing in its pictures rises above the plate as fire does")
-    largest = np.uint8(label == 1 + np.argmax(stats[1:, cv2.CC_STAT_AREA]))
+    largest = (label == 1 + np.argmax(stats[1:, cv2.CC_STAT_AREA])).astype(np.uint8)
     disc = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * GROWN_PX + 1,) * 2)
-    rows, columns = np.nonzero(cv2.erode(largest, disc, borderValue=0))
+    rows, columns = np.nonzero(cv2.erode(largest, disc, borderValue=(0,)))
     low = columns[rows > rows.max() - max(np.ptp(rows) / 10, 1)].mean() + 0.5
     return np.array([low, rows.min()]), np.array([low, rows.max() + 1.0])
 

@@ -62,5 +62,5 @@ def _front(g: TransientGaussians, time_s: float) -> Camera | None:
     pose = np.eye(4)
     pose[:3, :3] = rows
     pose[:3, 3] = -rows @ (middle - [0, 2.5 * reach * FOCAL_PX / (SIDE_PX / 2), 0])
-    K = [[FOCAL_PX, 0, SIDE_PX / 2], [0, FOCAL_PX, SIDE_PX / 2], [0, 0, 1]]
+    K = np.array([[FOCAL_PX, 0, SIDE_PX / 2], [0, FOCAL_PX, SIDE_PX / 2], [0, 0, 1]])
     return Camera("front", SIDE_PX, SIDE_PX, K, pose)

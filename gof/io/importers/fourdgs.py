@@ -121,7 +121,9 @@ class _Scene:
             (band,) = take("<B")
             if band not in f.BAND_COLUMNS:
                 raise DataFormatError(f"has a band {band} of harmonics; there are 1, 2 and 3")
-            self.bands[-1][band] = take.stream()[1]
+            _, harmonics = take.stream()
+            assert harmonics is not None, "all streams are known where none is named"
+            self.bands[-1][band] = harmonics
         elif opcode == f.DELTA_CHUNK:
             raise DataFormatError("has chunks of differences, which belong to the model keyframe-delta")
         elif opcode == f.OBJECT_TRACK:
