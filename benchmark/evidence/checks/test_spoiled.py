@@ -11,6 +11,7 @@ from gof.footage.videos import read_info
 from gof_benchmark.evidence.hard_cases import about_x, behind_a_beam, dim, plate_with_fire, spoiled
 from gof_benchmark.evidence.ordinary_footage import tagged_clockwise
 from gof_benchmark.evidence.wrong_clocks import believing, mistakes
+from tests.conftest import tiny_dataset  # noqa: F401
 from tests.evaluate.synthetic_flame import flame_dataset
 from tests.videos import numbered, write_video
 
@@ -76,7 +77,7 @@ def test_the_evidence_scripts_phones_have_the_tag(tmp_path):
 # The study of wrong frame times changes what is believed about them, and nothing else.
 
 
-def test_rounded_and_exaggerated_times(tiny_dataset):
+def test_rounded_and_exaggerated_times(tiny_dataset):  # noqa: F811
     common = Dataset.open(tiny_dataset)
     with pytest.raises(GofError, match="effect 'clock'"):
         mistakes(common)
