@@ -8,6 +8,7 @@ import shlex
 import shutil
 import subprocess
 import sys
+from importlib.util import find_spec
 from pathlib import Path
 
 from gof.commands.cli import main
@@ -43,7 +44,8 @@ def lay_out(folder: Path) -> Path:
 
 # The sample's files have two names here, as README and the helps have them; where a command writes is no other work.
 ONE_NAME = (("sample/clip/", ""), ("sample/fire", "data/fire"), ("out/sync", "sync"), ("sample/result", "out/fire"))
-ONE_NAME += (("cam_*.mp4", "cam_0.mp4 cam_1.mp4 cam_2.mp4"),)
+ONE_NAME += (("cam_*.mp4", "cam_0.mp4 cam_1.mp4 cam_2.mp4"), ("data/board", "data/fire"))
+TUTORIALS = {"benchmark": "bpy", "score": "torch", "film": "pycolmap"}  # page: a package beyond the core that it needs
 
 
 def work_of(line: str) -> str:
@@ -51,6 +53,14 @@ def work_of(line: str) -> str:
     for one, other in ONE_NAME:
         line = line.replace(one, other)
     return " ".join(re.sub(r" --out( (?!-)\S+)+", "", line).split())
+
+
+def tutorials() -> set[str]:
+    """`work_of` every command of the tutorials that run on this machine, in tests/test_site.py."""
+    here = [page for page, package in TUTORIALS.items() if find_spec(package)]
+    texts = [(ROOT / f"docs/tutorials/{page}.md").read_text(encoding="utf-8") for page in here]
+    blocks = [block for text in texts for block in re.findall(r"^```bash\n(.*?)^```", text, re.MULTILINE | re.DOTALL)]
+    return {work_of(line) for block in blocks for line in block.splitlines() if line.startswith("gof ")}
 
 
 def not_run_elsewhere(lines: list[str], elsewhere: set[str]) -> list[str]:

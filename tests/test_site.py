@@ -11,7 +11,7 @@ from urllib.parse import unquote, urlparse
 import pytest
 
 from tests.browser import Browser, chromium
-from tests.reader import run
+from tests.reader import TUTORIALS, run
 
 ROOT = Path(__file__).parents[1]
 BLOCK = re.compile(r"^```(bash|python|text)\n(.*?)^```", re.MULTILINE | re.DOTALL)
@@ -94,9 +94,6 @@ SEARCH = """new Promise(async (done) => {
     }
     done(links());
 })"""
-
-
-TUTORIALS = {"benchmark": "bpy", "score": "torch", "film": "pycolmap"}  # page: a package beyond the core that it needs
 
 
 @pytest.mark.long
