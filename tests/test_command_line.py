@@ -7,7 +7,7 @@ import sys
 
 import pytest
 
-from gof.commands import everywhere, screens
+from gof.commands import everywhere, read
 from gof.commands.cli import commands, main
 from gof.commands.completion import leaves, words
 from gof.commands.declared import config_of, first_of, options_of
@@ -41,7 +41,7 @@ def test_there_are_at_most_200_options():
 @pytest.mark.parametrize("name", leaves())
 def test_a_first_help_screen_is_short_and_begins_with_examples(name, capsys):
     first = first_of(config_of(leaves()[name]))
-    assert len(first) <= screens.MOST
+    assert len(first) <= read.MOST
     assert all(option in first for option in options(name) if option.required)
     said, whole = help_of(name, capsys), help_of(name, capsys, "--help-all")
     assert said.startswith(f"usage: gof {name}")

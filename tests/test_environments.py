@@ -8,6 +8,7 @@ from pathlib import Path
 import pytest
 
 from gof.commands import cli, no_such
+from gof.host.checks import check_drjit
 from gof.host.processes import python_command
 from tests.conftest import random_gaussians
 
@@ -43,29 +44,46 @@ SHARE = ("share", "result.npz", "--out", "s.html", "--overwrite")
 # ---------------------------------------------------------------- variables
 
 
+FAULTS = {"/nothing/libLLVM.so": "does not exist", "a folder": "is a folder", "text.so": "cannot be loaded"}
+FAULTS["another"] = "is another library than LLVM"
+
+
+def wrong_llvm(folder, path) -> str:
+    """A path of that kind; "another" is a library that is not LLVM."""
+    (folder / "text.so").write_text("no library")
+    if path == "another":
+        return pytest.importorskip("_ctypes").__file__
+    return {"a folder": str(folder), "text.so": str(folder / "text.so")}.get(path, path)
+
+
+def is_blamed(said, path):
+    said = " ".join(said.split())
+    assert "DRJIT_LIBLLVM_PATH is" in said and FAULTS[path] in said and "unset it" in said
+    assert "apt-get install libllvm" not in said, "it is installed"
+
+
 @pytest.mark.parametrize(
-    "path, fault",
-    [
-        ("/nothing/libLLVM.so", "does not exist"),
-        ("a folder", "is a folder"),
-        ("text.so", "cannot be loaded"),
-        ("another", "is another library than LLVM"),
-    ],
+    "words, path", [*((SHARE, path) for path in FAULTS), (("doctor",), "another")], ids=lambda given: str(given)[:12]
 )
-@pytest.mark.parametrize("words", [SHARE, ("doctor",)], ids=["share", "doctor"])
 @pytest.mark.long
 @posix
-def test_a_wrong_path_of_llvm_is_blamed_first(folder, path, fault, words):
+def test_a_wrong_path_of_llvm_is_blamed_first(folder, path, words):
     pytest.importorskip("drjit")
-    import _ctypes
-
-    (folder / "text.so").write_text("no library")
-    path = {"a folder": str(folder), "text.so": str(folder / "text.so"), "another": _ctypes.__file__}.get(path, path)
-    done = run(folder, *words, variables={"DRJIT_LIBLLVM_PATH": path})
+    done = run(folder, *words, variables={"DRJIT_LIBLLVM_PATH": wrong_llvm(folder, path)})
     assert done.returncode == 1 and "Traceback" not in done.stderr + done.stdout
-    said = " ".join((done.stderr + done.stdout).split())
-    assert "DRJIT_LIBLLVM_PATH is" in said and fault in said.replace("\n", " ") and "unset it" in said
-    assert "apt-get install libllvm" not in said, "it is installed"
+    is_blamed(done.stderr + done.stdout, path)
+
+
+@pytest.mark.parametrize("path", FAULTS)
+@pytest.mark.long
+@posix
+def test_a_wrong_path_of_llvm_is_broken_for_the_doctor(folder, path, monkeypatch):
+    """By the one check of its that looks there; all of them run above."""
+    pytest.importorskip("drjit")
+    monkeypatch.setenv("DRJIT_LIBLLVM_PATH", wrong_llvm(folder, path))
+    status, said = check_drjit()
+    assert status == "broken" and "Traceback" not in said
+    is_blamed(said, path)
 
 
 @pytest.mark.parametrize(
@@ -246,10 +264,13 @@ def test_the_nearest_is_named_and_all():
         ["ingest", "nothing.mp4", "--out", "out"],
     ],
 )
-def test_what_is_not_there_is_said_without_a_progress_bar(folder, tiny_dataset, words):
-    done = run(folder, *words)
-    is_named(done)
-    assert "0/" not in done.stderr and "\u2501" not in done.stderr, done.stderr
+def test_what_is_not_there_is_said_without_a_progress_bar(folder, tiny_dataset, words, monkeypatch, capsys):
+    """In this process, where a traceback would come through as the error itself."""
+    monkeypatch.chdir(folder)
+    monkeypatch.delenv("GOF_DEBUG")
+    assert cli.main(words) in (1, 2)
+    said = capsys.readouterr().err
+    assert said and "Traceback" not in said and "0/" not in said and "\u2501" not in said, said
 
 
 def test_a_bar_is_seen_from_its_first_update_on(capsys):

@@ -14,7 +14,7 @@ import pytest
 
 from gof.commands.cli import main as gof
 from tests import test_printed_commands as printed
-from tests.reader import clear, lay_out, not_run_elsewhere, run
+from tests.reader import clear, lay_out, not_run_elsewhere, run, work_of
 
 ROOT = Path(__file__).parents[1]
 PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
@@ -107,7 +107,7 @@ def blocks() -> dict[str, list[tuple[str, str]]]:
     for page, language, text in examples():
         if reason(page, text) is None and not is_listing(page, text):
             found.setdefault(page, []).append((language, text))
-    in_helps = {line for case in printed.cases() for line in case.values[1]}
+    in_helps = {work_of(line) for case in printed.cases() for line in case.values[1]}
     return {page: left for page, those in found.items() if (left := _without(those, in_helps))}
 
 

@@ -11,7 +11,7 @@ from gof.evaluate.leaderboard import Leaderboard
 from gof.evaluate.scores import Scores
 from gof.evaluate.suite_board import SuiteBoard
 from gof.evaluate.training_curve import TrainingCurve
-from gof_blender.pure.scores import Scores as AddOnScores
+from gof_blender.pure.dve import Scores as AddOnScores
 
 
 @pytest.mark.parametrize("name, thing", [("gaussians", "TransientGaussians"), ("fields", "VelocityField")])

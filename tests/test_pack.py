@@ -17,8 +17,7 @@ from gof.commands import unpack as unpack_command
 from gof.commands.cli import main
 from gof.core.errors import DataFormatError, GofError
 from gof.dataset import Dataset
-from gof.dataset.pack import files_of, pack, unpack, verify
-from gof.dataset.truth import Truth
+from gof.dataset.pack import Truth, files_of, pack, unpack, verify
 from tests.evaluate.synthetic_flame import flame_dataset
 
 

@@ -19,7 +19,7 @@ import pytest
 from gof.commands.cli import commands, main
 from gof.commands.read import read_options
 from gof.core.errors import GofError
-from tests.reader import clear, lay_out, not_run_elsewhere, run
+from tests.reader import clear, lay_out, not_run_elsewhere, run, tutorials, work_of
 
 ROOT = Path(__file__).parents[1]
 README = ROOT / "README.md"
@@ -47,9 +47,9 @@ NOT_RUN = {  # words that the command begins with: why
     "gof generate demo --estimate": "measures the machine for minutes",
 }
 BEFORE = {  # page: what its reader has done before
-    "gof ingest": "gof capture sync cam_0.mp4 cam_1.mp4 cam_2.mp4 --out sync",
     "gof unpack": "gof pack data/fire --licence CC0-1.0 --authors A --out .",
     "gof report": "gof evaluate out/fire --dataset data/fire --no-images",
+    "README": "gof evaluate out/fire --dataset data/fire --no-images",
 }
 BLENDER = ("gof demo", "gof generate", "gof import")
 
@@ -116,10 +116,12 @@ def test_a_command_that_fails_is_seen_to_fail(line, tmp_path):
 
 def cases() -> list:
     """Pages with the commands of theirs that are run, each once; those that start Blender are marked."""
-    found, elsewhere = [], set()
-    for page, lines in sorted(pages().items(), key=lambda item: item[0] != "gof"):  # the loop runs as one
-        here = not_run_elsewhere([line for line in lines if reason(line) is None], elsewhere)
-        elsewhere |= set(here)
+    found, elsewhere = [], tutorials()
+    first_and_last = {"gof": -1, "README": 1}  # the loop runs as one; README shows what the helps do
+    for page, lines in sorted(pages().items(), key=lambda item: first_and_last.get(item[0], 0)):
+        here = [line for line in lines if reason(line) is None]
+        here = here if page == "gof" else not_run_elsewhere(here, elsewhere)
+        elsewhere |= set(map(work_of, here))
         if here:
             marks = [pytest.mark.blender] if any(line.startswith(BLENDER) for line in here) else []
             found.append(pytest.param(page, here, id=page.replace(" ", "_"), marks=marks))
@@ -127,10 +129,18 @@ def cases() -> list:
 
 
 def test_every_command_that_is_printed_is_run_or_has_its_reason():
-    run_here = {line for case in cases() for line in case.values[1]}
+    run_here = {work_of(line) for case in cases() for line in case.values[1]} | tutorials()
     for lines in pages().values():
         for line in lines:
-            assert (line in run_here) != (reason(line) is not None), line
+            assert (work_of(line) in run_here) != (reason(line) is not None), line
+
+
+def test_the_files_that_readme_names_are_in_the_sample(sample):
+    """Its commands run under the names of the helps, which the same files have here."""
+    names = {word for line in pages()["README"] for word in line.split() if word.startswith("sample/")}
+    assert len(names) >= 4
+    for name in names:
+        assert list(sample.glob(name)), name
 
 
 @pytest.mark.long

@@ -2,7 +2,6 @@
 
 import gzip
 import importlib.util
-import os
 import re
 import subprocess
 import sys
@@ -12,6 +11,7 @@ from urllib.parse import unquote, urlparse
 import pytest
 
 from tests.browser import Browser, chromium
+from tests.reader import TUTORIALS, run
 
 ROOT = Path(__file__).parents[1]
 BLOCK = re.compile(r"^```(bash|python|text)\n(.*?)^```", re.MULTILINE | re.DOTALL)
@@ -96,9 +96,6 @@ SEARCH = """new Promise(async (done) => {
 })"""
 
 
-TUTORIALS = {"benchmark": "bpy", "score": "torch", "film": "pycolmap"}  # page: a package beyond the core that it needs
-
-
 @pytest.mark.long
 @pytest.mark.timeout(1500)
 @pytest.mark.parametrize(
@@ -110,17 +107,13 @@ def test_a_tutorial_runs_as_it_is_written(page, tmp_path):
         pytest.skip(f"{TUTORIALS[page]} is not installed")
     blocks = BLOCK.findall((ROOT / f"docs/tutorials/{page}.md").read_text(encoding="utf-8"))
     assert len([language for language, _ in blocks if language != "text"]) >= 3 and "text" in dict(blocks)
-    path = os.pathsep.join([str(Path(sys.executable).parent), os.environ["PATH"]])
     printed = ""
     for language, code in blocks:
         if language == "text":
             missing = [line for line in code.splitlines() if without_numbers(line) not in without_numbers(printed)]
             assert not missing, f"not in the output: {missing}\n{printed[-3000:]}"
-            continue
-        command = ["bash", "-ec", code] if language == "bash" else [sys.executable, "-c", code]
-        done = subprocess.run(command, cwd=tmp_path, env=os.environ | {"PATH": path}, capture_output=True, text=True)
-        printed = done.stdout + done.stderr
-        assert done.returncode == 0, f"{code}\n{printed[-3000:]}"
+        else:
+            printed = run(tmp_path, code, language, small=False)
 
 
 def without_numbers(text: str) -> str:

@@ -25,10 +25,10 @@ from gof.commands import GROUPS, everywhere
 from gof.commands.cli import commands
 from gof.commands.completion import leaves
 from gof.commands.declared import Option, config_of, options_of, texts_of
-from gof.commands.screens import parts_of_docstring
+from gof.commands.read import parts_of_docstring
 from gof_blender.pure import effects
 from gof_blender.pure.spec import SceneSpec
-from gof_blender.pure.units import unit_of
+from gof_blender.ui.effect_groups import unit_of
 
 MARK = re.compile(r"^(?:> .*\n\n)?<!-- generated: (\w+) -->$", re.MULTILINE)  # and the note for other viewers
 

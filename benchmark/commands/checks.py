@@ -10,8 +10,8 @@ from pathlib import Path
 from gof.host import extras
 from gof.host.checks import Check, Outcome, child, last_line
 from gof_blender.pure import spec
-from gof_blender.pure.clip import Clip
 from gof_blender.pure.spec import Domain, SceneSpec
+from gof_blender.pure.timing import Clip
 
 GENERATE = f"for `gof generate` and `gof demo`: {extras.command('blender')}"
 SMALLEST = SceneSpec("doctor", clip=Clip(frames=1, warm_up_frames=2), domain=Domain(resolution=16), background="studio")

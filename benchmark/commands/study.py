@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from gof.commands.parts import run_part
+from gof.commands import run_part
 
 PARTS = {
     "score": (

@@ -18,11 +18,11 @@ import tyro
 from gof.host.processes import python_command
 from gof_benchmark.fires import measures
 from gof_blender.pure import spec as scene_spec
-from gof_blender.pure.clip import Clip
 from gof_blender.pure.effects import vorticity
 from gof_blender.pure.fires import Domain, Fire
 from gof_blender.pure.rig import Rig
 from gof_blender.pure.spec import SceneSpec
+from gof_blender.pure.timing import Clip
 
 SIZES = {
     "candle": (

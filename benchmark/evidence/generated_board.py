@@ -22,11 +22,11 @@ from gof_benchmark.evidence import child
 from gof_blender.core.description import CameraEntry
 from gof_blender.pure import effects
 from gof_blender.pure import spec as scene_spec
-from gof_blender.pure.clip import Clip
 from gof_blender.pure.effects import clock, motion_blur, rolling_shutter, sensor_noise, sync_board, video_compression
 from gof_blender.pure.layout import Layout
 from gof_blender.pure.rig import Rig
 from gof_blender.pure.spec import Render, SceneSpec
+from gof_blender.pure.timing import Clip
 
 GREY = 0.1
 FRAMES = 24

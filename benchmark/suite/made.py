@@ -10,7 +10,7 @@ from gof.core.errors import DataFormatError
 from gof.core.files import read_json
 from gof.core.records import read_record
 from gof.dataset import Dataset
-from gof.dataset.truth import Truth
+from gof.dataset.pack import Truth
 from gof_benchmark.suite import FOLDER, SEALED, Size, SuiteScene, scenes_of
 from gof_benchmark.views.shrunk import SHRUNK
 from gof_blender.core.checked_json import SpecError

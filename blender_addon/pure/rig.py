@@ -10,7 +10,7 @@ import numpy as np
 
 from ..core.checked_json import require
 from ..core.rotations import rotation_matrices
-from .clip import Vector
+from .timing import Vector
 
 AROUND_DEG = tuple(range(0, 360, 45))
 AROUND = (*(f"around_{angle:03d}" for angle in AROUND_DEG), "around_top")

@@ -11,7 +11,7 @@ from pathlib import Path
 
 from ..core.errors import GofError
 from .child import JobError, Said, code
-from .scores import Scores
+from .dve import Scores
 
 INSTALL = (
     "install it there: in the folder of the Gaussians on Fire source run `make setup`, and choose its .venv/bin/python "

@@ -14,8 +14,7 @@ from typing import Any
 import numpy as np
 
 from . import effects
-from .clip import Clip
-from .timing import Picture, Timing, step_weights
+from .timing import Clip, Picture, Timing, step_weights
 
 
 @dataclass(frozen=True)

@@ -13,8 +13,8 @@ from dataclasses import replace
 import bpy
 from mathutils import Matrix, Vector
 
-from ..pure.clip import Clip
 from ..pure.spec import SceneSpec
+from ..pure.timing import Clip
 from . import effects, fire, mantaflow, rig
 from .fire_objects import FireObjects
 

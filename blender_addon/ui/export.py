@@ -10,10 +10,10 @@ import numpy as np
 from bpy_extras.io_utils import ExportHelper
 
 from ..core.errors import DataFormatError, GofError
-from ..pure import points, voxels
+from ..pure import voxels
 from ..pure.io import usd_points, vdb_file
 from ..pure.io.cloud import GaussianCloud
-from ..scene import alembic_points, compat, native_splats, point_cloud
+from ..scene import compat, exchange, native_splats, point_cloud
 from .panel import number
 
 FINENESS = 96  # voxels along the longest side, where no size is given
@@ -158,7 +158,7 @@ class GOF_OT_export_points(_CloudExport, bpy.types.Operator):
     def write(self, context, thing, path):
         scene = context.scene
         if path.suffix.lower() == ".abc":
-            alembic_points.write(path, thing, scene.frame_start, scene.frame_end)
+            exchange.write_points(path, thing, scene.frame_start, scene.frame_end)
         elif path.suffix.lower() in usd_points.SUFFIXES:
             self._usd(scene, thing, path)
         else:
@@ -170,9 +170,9 @@ class GOF_OT_export_points(_CloudExport, bpy.types.Operator):
         _find_packages()
         recording = Recording.of(scene, thing)
 
-        def frames() -> Iterator[tuple[int, points.Points]]:
+        def frames() -> Iterator[tuple[int, usd_points.Points]]:
             for frame, time_s in _with_progress(recording):
-                yield frame, points.at(recording.cloud, time_s, recording.least, recording.time_scale)
+                yield frame, usd_points.at(recording.cloud, time_s, recording.least, recording.time_scale)
 
         clock = usd_points.Clock(scene.frame_start, scene.frame_end, recording.rate)
         usd_points.write(path, frames(), clock, np.array(thing.matrix_world), scene.unit_settings.scale_length)

@@ -8,7 +8,7 @@ from bpy_extras.io_utils import ImportHelper
 
 from ..core.errors import DataFormatError, GofError
 from ..pure.io import cloud as clouds
-from ..scene import clip_in_scene, compat, filmed, gaussian_nodes, place, point_cloud, result_file, see_through
+from ..scene import captured, clip_in_scene, compat, gaussian_nodes, place, point_cloud, result_file, see_through
 from .panel import SidebarPanel, number, write_lines
 
 MANY = 2_000_000  # Gaussians; above this an import needs confirmation
@@ -282,7 +282,7 @@ class GOF_PT_reconstruction(SidebarPanel, bpy.types.Panel):
             write_lines(column, context, clip)
             column.operator("gof.fit_scene")
         self._warn(context, layout, settings.mode)
-        if words := filmed.guess(context.scene, context.space_data.region_3d.view_rotation @ filmed.AHEAD):
+        if words := captured.guess(context.scene, context.space_data.region_3d.view_rotation @ captured.AHEAD):
             write_lines(layout, context, words, "INFO")
         column = layout.column(align=True)
         column.prop(settings, "mode")

@@ -14,11 +14,11 @@ import numpy as np
 from mathutils import Matrix, Vector
 
 from ..core.checked_json import SpecError
-from ..pure.clip import Clip
 from ..pure.effects import changes_bake
 from ..pure.fires import GridFire
 from ..pure.rig import Pose, Rig
 from ..pure.spec import Display, Domain, Fire, Render, SceneSpec
+from ..pure.timing import Clip
 from ..scene import place, rig
 from . import effect_groups
 from .effect_groups import exact

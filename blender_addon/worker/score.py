@@ -13,8 +13,8 @@ from pathlib import Path
 from ..core.errors import DataFormatError, GofError
 from ..core.records import write_record
 from ..pure import dve
+from ..pure.dve import Scores
 from ..pure.io import cloud as clouds
-from ..pure.scores import Scores
 from .reporter import Reporter, exit_status, leave, run_alone
 
 

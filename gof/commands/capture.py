@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from gof.commands.parts import run_part
+from gof.commands import run_part
 
 PARTS = {
     "board": ("gof.commands.capture_board", "find, set, start, stop, test and monitor the LED board"),

@@ -3,13 +3,17 @@ parsed by tyro."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import inspect
+import shutil
+import textwrap
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Annotated, TypeVar
 
 import tyro
 
-from gof.commands import everywhere, screens
+from gof.commands import everywhere
+from gof.commands.declared import Option, first_of, options_of
 from gof.commands.renamed import renamed
 from gof.core.errors import GofError
 from gof.core.ladder import METAVAR
@@ -27,8 +31,8 @@ def read_options(config: type[C], command: str, argv: Sequence[str]) -> C:
         SystemExit: help was asked for (0), or an option is wrong (2).
         GofError: an option is gone (names the one that replaces it).
     """
-    if screens.asked_for(argv):
-        print(screens.of_command(config, command, whole=screens.WHOLE in argv))
+    if asked_for(argv):
+        print(of_command(config, command, whole=WHOLE in argv))
         raise SystemExit(0)
     argv = everywhere.taken_from(renamed(command, list(argv)))
     for option, word in getattr(config, "BARE", {}).items():
@@ -79,3 +83,91 @@ def named(words: Sequence[str]) -> list[tuple[str | None, Path]]:
         plain = not equals or not name or Path(word).exists()
         found.append((None, Path(word)) if plain else (name, Path(path)))
     return found
+
+
+SHORT, WHOLE = ("-h", "--help"), "--help-all"
+MOST = 8  # options on a first screen
+EXAMPLES = "Examples:"  # the line of a config class' docstring that begins them
+LEAST_COLUMNS, MOST_COLUMNS, BEGIN = 60, 110, 24
+
+
+def asked_for(argv: Sequence[str]) -> bool:
+    """Return whether a command line requests help."""
+    return any(word in (*SHORT, WHOLE) for word in argv)
+
+
+def of_command(config: type, command: str, whole: bool = False) -> str:
+    """Return the help screen of a command.
+
+    Args:
+        whole: with all options and everything that the docstring says.
+    """
+    summary, more, examples = parts_of_docstring(inspect.getdoc(config) or "")
+    options = options_of(config)
+    arguments = [option for option in options if option.positional]
+    named = [option for option in options if not option.positional]
+    first = named if whole else first_of(config)
+    words = [command, *(_shown(argument) for argument in arguments), *["[OPTIONS]"] * bool(named)]
+    parts = [f"usage: gof {' '.join(words)}", _filled(summary)]
+    if examples:
+        parts.append("examples:\n" + "\n".join(f"  {line}" for line in examples))
+    if whole and more:
+        parts.append("\n\n".join(map(_filled, more)))
+    if arguments:
+        parts.append(_listed((argument.name, _said(argument)) for argument in arguments))
+    if first:
+        parts.append("options:\n" + _listed((_called(option), _said(option)) for option in first))
+    for title, kind in getattr(config, "MORE", {}).items() if whole else ():
+        keys = [(f"{option.field}{option.value and '=' + option.value}", _said(option)) for option in options_of(kind)]
+        parts.append(f"{title}:\n{_listed(keys)}")
+    if whole:
+        parts.append("for every command:\n" + _listed(everywhere.OPTIONS.items()))
+    hidden = len(named) - len(first)
+    end = f"{hidden} more option{'s' * (hidden > 1)}: gof {command} {WHOLE}. " if hidden else ""
+    if not whole:
+        end += f"Every command takes {', '.join(everywhere.OPTIONS)}."
+    return "\n\n".join([*parts, *([_filled(end)] if end else [])])
+
+
+def parts_of_docstring(text: str) -> tuple[str, list[str], list[str]]:
+    """Return a docstring's first paragraph, the others, and its examples."""
+    text, _, examples = text.partition(f"{EXAMPLES}\n")
+    first, *more = [" ".join(part.split()) for part in text.strip().split("\n\n")]
+    lines, _, after = examples.partition("\n\n")
+    more += [" ".join(part.split()) for part in after.split("\n\n") if part.strip()]
+    return first, more, [line.strip() for line in lines.splitlines() if line.strip()]
+
+
+def _shown(argument: Option) -> str:
+    return argument.name if argument.required else f"[{argument.name}]"
+
+
+def _called(option: Option) -> str:
+    return f"{option.name} {option.value}{' ...' if option.several else ''}".rstrip()
+
+
+def _said(option: Option) -> str:
+    end = " (required)" if option.required and not option.positional else ""
+    end = f" (default: {option.default})" if option.default else end
+    return f"{option.text}{end}"
+
+
+def _columns() -> int:
+    return min(max(shutil.get_terminal_size((100, 24)).columns, LEAST_COLUMNS), MOST_COLUMNS)
+
+
+def _filled(text: str) -> str:
+    return textwrap.fill(text, _columns(), break_on_hyphens=False)
+
+
+def _listed(rows: Iterable[tuple[str, str]]) -> str:
+    """Return two columns; a long name has a line of its own."""
+    lines = []
+    for name, text in rows:
+        body = textwrap.wrap(text, _columns() - BEGIN, break_on_hyphens=False, break_long_words=False) or [""]
+        if len(name) > BEGIN - 4:
+            lines.append(f"  {name}")
+        else:
+            lines.append(f"  {name:<{BEGIN - 2}}{body.pop(0)}".rstrip())
+        lines += [" " * BEGIN + line for line in body]
+    return "\n".join(lines)

@@ -14,8 +14,8 @@ import numpy as np
 
 from gof.core.errors import GofError
 from gof.dataset import Dataset
-from gof.evaluate.draws import own_generator
 from gof.evaluate.emission import flame_grid
+from gof.evaluate.intervals import own_generator
 from gof.evaluate.sparse_grid import StoredField
 
 PLACES = 2048  # in all, drawn from the emission of all frames

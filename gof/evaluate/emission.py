@@ -23,7 +23,7 @@ from gof.core.datum import Datum
 from gof.core.errors import DataFormatError
 from gof.core.fields import CHUNK, SAME_TIME_S, GridSequence, VelocitySequence, open_array
 from gof.core.gaussians import MovingGaussians
-from gof.evaluate.draws import own_generator
+from gof.evaluate.intervals import own_generator
 from gof.evaluate.sparse_grid import StoredFields, fields_of
 from gof.evaluate.visible import opacity_per_metre
 

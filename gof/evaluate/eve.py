@@ -24,10 +24,10 @@ import numpy as np
 
 from gof.core.fields import VelocitySequence
 from gof.core.gaussians import MovingGaussians, TransientGaussians
-from gof.evaluate.draws import own_generator
 from gof.evaluate.dve_frame import DVEResult, Sums, agreement_sums
 from gof.evaluate.emission import FlameGrid
 from gof.evaluate.expectation import expected_velocity
+from gof.evaluate.intervals import own_generator
 from gof.evaluate.sparse_grid import StoredField, StoredFields, fields_of
 from gof.evaluate.visible import opacity_per_metre
 
@@ -223,6 +223,7 @@ def _means(places: ClipPlaces) -> dict[str, np.ndarray]:
 
 def _jackknife(values: list[float | None]) -> float | None:
     """Return the standard deviation of a figure from its values without one group of places each."""
-    if any(value is None for value in values):
+    known = [value for value in values if value is not None]
+    if len(known) < len(values):
         return None
-    return float(np.sqrt((len(values) - 1) * np.var(values)))
+    return float(np.sqrt((len(known) - 1) * np.var(known)))

@@ -7,7 +7,7 @@ import numpy as np
 from gof.core.fields import VelocityField
 from gof.core.rotations import rotation_matrices
 from gof.evaluate.quadrature import Expectation, VelocityLike, product_rule
-from gof.evaluate.sparse_grid import StoredField, pools
+from gof.evaluate.sparse_grid import StoredField
 
 CHUNK_POINTS = 1 << 15  # quadrature points held at once; small enough for a cache, which is worth a factor of two
 COMPILED_FROM = 100_000  # quadrature points; below, loading the compiler takes longer than numpy
@@ -42,7 +42,7 @@ def _part_by_part(
 ) -> Expectation:
     """Return the plain quadrature on a store, so many Gaussians at a time as share a pool of chunks."""
     result = Expectation.empty(len(position))
-    for rows, pool in pools(field, position, scale, np.abs(product_rule(order)[0]).max()):
+    for rows, pool in field.bricks.pools(position, scale, np.abs(product_rule(order)[0]).max()):
         del pool  # the field keeps it: it is read once, not for every batch of points
         part = expected_velocity_plain(field, position[rows], scale[rows], rotation[rows], order)
         for whole, values in zip(result, part, strict=True):

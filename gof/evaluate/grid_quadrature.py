@@ -12,7 +12,7 @@ import numpy as np
 
 from gof.core.fields import CHUNK, VelocityField
 from gof.evaluate.quadrature import Expectation, product_rule
-from gof.evaluate.sparse_grid import EDGE, FAR, Pool, StoredField, pools
+from gof.evaluate.sparse_grid import EDGE, FAR, Bricks, Pool, StoredField
 from gof.render.backend import Array4f, Float, Int, UInt, floats
 
 LAUNCH = 1 << 20  # Gaussians per launch: bounds memory at about 150 MB, whatever their number
@@ -55,7 +55,8 @@ def expected_velocity_on_grid(
             result.mean[rows], result.centre[rows] = mean.numpy()[:3].T, centre.numpy()[:3].T
             result.inside[rows] = np.maximum(1 - outside.numpy().astype(np.float64), 0)
 
-    for part, pool in pools(field, position, scale, np.abs(nodes).max()):
+    bricks = field.bricks if isinstance(field, StoredField) else Bricks(field)
+    for part, pool in bricks.pools(position, scale, np.abs(nodes).max()):
         evaluate(part, pool)  # a function, so that what it put on the device is gone before the next pool is made
         del pool
     return result

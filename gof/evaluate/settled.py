@@ -12,9 +12,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from gof.core.gaussians import MovingGaussians
-from gof.evaluate.draws import own_generator
 from gof.evaluate.dve_frame import DVEResult, Samples, Sums, agreement_sums
 from gof.evaluate.expectation import expected_velocity
+from gof.evaluate.intervals import own_generator
 from gof.evaluate.quadrature import ORDERS
 from gof.evaluate.sparse_grid import fields_of
 

@@ -10,7 +10,7 @@ import os
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, reduce
 from typing import Any
 
 import numpy as np
@@ -65,13 +65,18 @@ class StoredField:
     def contains(self, points: np.ndarray) -> np.ndarray:
         return self._shape.contains(points)
 
+    @cached_property
+    def bricks(self) -> Bricks:
+        """Return what was read of it; kept, as each frame of a store is needed many times."""
+        return Bricks(self)
+
     def chunk(self, number: tuple[int, int, int]) -> np.ndarray | None:
         """As `VelocityField.chunk`; linear between stored frames."""
         stored = [(self.sequence.chunk(index, number), weight) for index, weight in self._parts]
-        stored = [(cells, weight) for cells, weight in stored if cells is not None]
-        if len(self._parts) == 1 or not stored:
-            return stored[0][0] if stored else None
-        return sum(np.float32(weight) * cells.astype(np.float32) for cells, weight in stored)
+        there = [(cells, weight) for cells, weight in stored if cells is not None]
+        if len(self._parts) == 1 or not there:
+            return there[0][0] if there else None
+        return reduce(np.add, (np.float32(weight) * cells.astype(np.float32) for cells, weight in there))
 
     def sample(self, points: np.ndarray) -> np.ndarray:
         """As `VelocityField.sample`; reads the chunks around the points, POOL_BYTES of them at a time."""
@@ -83,8 +88,8 @@ class StoredField:
         fraction = (coordinate - low).astype(np.float32)
         brick, local = np.divmod(low, CHUNK)
         stride = (low + 1 < self.resolution) * np.array([EDGE * EDGE, EDGE, 1])
-        for rows, needed in parts(self, low, low, np.arange(len(low))):
-            pool = pool_of(self, needed)
+        for rows, needed in self.bricks.parts(low, low, np.arange(len(low))):
+            pool = self.bricks.pool(needed)
             records = pool.cells.reshape(-1, 4)
             first = pool.table[tuple(brick[rows].T)].astype(np.int64) * EDGE**3 + local[rows] @ np.array(
                 [EDGE * EDGE, EDGE, 1]
@@ -118,7 +123,7 @@ class StoredFields:
     def at(self, time_s: float) -> StoredField:
         """Return the field of a time. Raises DataFormatError, when it is read: outside of the stored clock."""
         field = self._kept.pop(time_s, None) or StoredField(self.sequence, time_s)
-        while self._kept and sum(pool_bytes(other) for other in self._kept.values()) > KEPT_BYTES:
+        while self._kept and sum(other.bricks.read_bytes for other in self._kept.values()) > KEPT_BYTES:
             del self._kept[next(iter(self._kept))]  # the one that was longest not asked for
         self._kept[time_s] = field
         return field
@@ -138,101 +143,100 @@ class Pool:
     held: np.ndarray  # bool, same shape: chunks the pool can answer for
 
 
-def cell_ranges(
-    field: VelocityField | StoredField, position: np.ndarray, scale: np.ndarray, outermost: float
-) -> tuple[np.ndarray, np.ndarray]:
-    """Return first and last cell (M, 3) that nodes up to `outermost` standard deviations along each own axis can fall
-    into.
+class Bricks:
+    """The bricks of a gridded field, with the pool of them that was read last, for as long as it answers.
 
-    No node is farther from the centre along grid axis i than |row i of world_to_index| |scale| outermost.
+    Args:
+        field: in memory, or of a store.
     """
-    to_index = np.linalg.inv(field.index_to_world)[:3, :3]
-    cell = np.floor(np.clip(field.to_index(position) - 0.5, -FAR, FAR)).astype(np.int32)
-    reach = np.linalg.norm(scale, axis=1)[:, None] * (outermost * np.linalg.norm(to_index, axis=1))
-    reach = np.minimum(np.ceil(reach), FAR).astype(np.int32)
-    return cell - reach, cell + reach
 
+    def __init__(self, field: VelocityField | StoredField):
+        self.field = field
+        self._pool: Pool | None = None
 
-def pools(
-    field: VelocityField | StoredField, position: np.ndarray, scale: np.ndarray, outermost: float
-) -> Iterator[tuple[np.ndarray, Pool]]:
-    """Yield rows of Gaussians, (K,) numbers, with the pool that answers for all their nodes; arguments as in
-    `cell_ranges`.
+    @property
+    def dtype(self) -> type:
+        field = self.field
+        stored = field.dtype if isinstance(field, StoredField) else field.velocity.dtype
+        return np.float16 if stored == np.float16 else np.float32
 
-    Whoever takes them lets go of a pool before asking for the next one: both at once would be the peak of the memory.
-    """
-    low, high = cell_ranges(field, position, scale, outermost)
-    for rows, needed in parts(field, low, high, np.arange(len(position))):
-        yield rows, pool_of(field, needed)
+    @property
+    def read_bytes(self) -> int:
+        """How large what was read may be."""
+        return 0 if self._pool is None else self._pool.cells.nbytes
 
+    def cell_ranges(self, position: np.ndarray, scale: np.ndarray, outermost: float) -> tuple[np.ndarray, np.ndarray]:
+        """Return first and last cell (M, 3) that nodes up to `outermost` standard deviations along each own axis can
+        fall into.
 
-def touched_chunks(field: VelocityField | StoredField, low: np.ndarray, high: np.ndarray) -> np.ndarray:
-    """Return (bricks per axis) bool: the chunks that any of the cell ranges low..high, (M, 3) whole numbers, reaches
-    into."""
-    size = np.array(field.resolution)
-    bricks = -(-size // CHUNK)
-    if bricks.prod() <= FEW:
-        return np.ones(bricks, bool)
-    meets = ((high + MARGIN >= 0) & (low - MARGIN < size)).all(1)
-    first = np.clip(low[meets] - MARGIN, 0, size - 1) // CHUNK
-    after = np.clip(high[meets] + MARGIN, 0, size - 1) // CHUNK + 1
-    # a million Gaussians share a few thousand ranges
-    pairs = np.unique(_flat(first, bricks + 1) * np.prod(bricks + 1) + _flat(after, bricks + 1))
-    first, after = (np.stack(np.unravel_index(half, bricks + 1), 1) for half in np.divmod(pairs, np.prod(bricks + 1)))
-    marks = np.zeros(bricks + 1, np.int64)  # +1 and -1 at the corners of every range; running sums fill the ranges
-    for corner in np.ndindex(2, 2, 2):
-        at = _flat(np.where(corner, after, first), marks.shape)
-        marks += (-1) ** sum(corner) * np.bincount(at, minlength=marks.size).reshape(marks.shape)
-    return marks.cumsum(0).cumsum(1).cumsum(2)[:-1, :-1, :-1] > 0
+        No node is farther from the centre along grid axis i than |row i of world_to_index| |scale| outermost.
+        """
+        to_index = np.linalg.inv(self.field.index_to_world)[:3, :3]
+        cell = np.floor(np.clip(self.field.to_index(position) - 0.5, -FAR, FAR)).astype(np.int32)
+        reach = np.linalg.norm(scale, axis=1)[:, None] * (outermost * np.linalg.norm(to_index, axis=1))
+        reach = np.minimum(np.ceil(reach), FAR).astype(np.int32)
+        return cell - reach, cell + reach
+
+    def pools(self, position: np.ndarray, scale: np.ndarray, outermost: float) -> Iterator[tuple[np.ndarray, Pool]]:
+        """Yield rows of Gaussians, (K,) numbers, with the pool that answers for all their nodes; arguments as in
+        `cell_ranges`.
+
+        Whoever takes them lets go of a pool before asking for the next one: both at once would be the peak of the
+        memory.
+        """
+        low, high = self.cell_ranges(position, scale, outermost)
+        for rows, needed in self.parts(low, high, np.arange(len(position))):
+            yield rows, self.pool(needed)
+
+    def touched(self, low: np.ndarray, high: np.ndarray) -> np.ndarray:
+        """Return (bricks per axis) bool: the chunks that any of the cell ranges low..high, (M, 3) whole numbers,
+        reaches into."""
+        size = np.array(self.field.resolution)
+        bricks = -(-size // CHUNK)
+        if bricks.prod() <= FEW:
+            return np.ones(bricks, bool)
+        meets = ((high + MARGIN >= 0) & (low - MARGIN < size)).all(1)
+        first = np.clip(low[meets] - MARGIN, 0, size - 1) // CHUNK
+        after = np.clip(high[meets] + MARGIN, 0, size - 1) // CHUNK + 1
+        # a million Gaussians share a few thousand ranges
+        corners = np.prod(bricks + 1)
+        pairs = np.unique(_flat(first, bricks + 1) * corners + _flat(after, bricks + 1))
+        first, after = (np.stack(np.unravel_index(half, bricks + 1), 1) for half in np.divmod(pairs, corners))
+        marks = np.zeros(bricks + 1, np.int64)  # +1 and -1 at the corners of every range; running sums fill the ranges
+        for corner in np.ndindex(2, 2, 2):
+            at = _flat(np.where(corner, after, first), marks.shape)
+            marks += (-1) ** sum(corner) * np.bincount(at, minlength=marks.size).reshape(marks.shape)
+        return marks.cumsum(0).cumsum(1).cumsum(2)[:-1, :-1, :-1] > 0
+
+    def parts(self, low: np.ndarray, high: np.ndarray, rows: np.ndarray) -> Iterator[tuple[np.ndarray, np.ndarray]]:
+        """Yield `rows` with the chunks they touch, halved along the longest side until each part's chunks fit into the
+        pool."""
+        needed = self.touched(low[rows], high[rows])
+        if self._bytes(needed) > POOL_BYTES:
+            middle = low[rows] + (high[rows] - low[rows]) // 2
+            spread = np.ptp(middle, axis=0)
+            if spread.max() >= CHUNK:  # below, halving cannot help
+                for half in np.array_split(rows[np.argsort(middle[:, spread.argmax()], kind="stable")], 2):
+                    yield from self.parts(low, high, half)
+                return
+        yield rows, needed
+
+    def pool(self, needed: np.ndarray) -> Pool:
+        """Return the pool for chunks of `touched`: the last one, read again with more where it does not hold them."""
+        if self._pool is None or (needed & ~self._pool.held).any():
+            held = np.zeros_like(needed) if self._pool is None else self._pool.held
+            self._pool = None  # first: both at once would be the peak of the memory
+            both = needed | held
+            self._pool = _fill(self.field, self.dtype, both if self._bytes(both) <= POOL_BYTES else needed)
+        return self._pool
+
+    def _bytes(self, needed: np.ndarray) -> int:
+        return int(needed.sum()) * EDGE**3 * 4 * np.dtype(self.dtype).itemsize
 
 
 def _flat(number: np.ndarray, shape) -> np.ndarray:
     """Return (M,) position of (M, 3) numbers in an array of this shape."""
     return np.ravel_multi_index(tuple(number.T), tuple(shape))
-
-
-def parts(field, low: np.ndarray, high: np.ndarray, rows: np.ndarray) -> Iterator[tuple[np.ndarray, np.ndarray]]:
-    """`rows` with the chunks they touch, halved along the longest side until each part's chunks fit into the pool."""
-    needed = touched_chunks(field, low[rows], high[rows])
-    if _bytes(field, needed) > POOL_BYTES:
-        middle = low[rows] + (high[rows] - low[rows]) // 2
-        spread = np.ptp(middle, axis=0)
-        if spread.max() >= CHUNK:  # below, halving cannot help
-            for half in np.array_split(rows[np.argsort(middle[:, spread.argmax()], kind="stable")], 2):
-                yield from parts(field, low, high, half)
-            return
-    yield rows, needed
-
-
-def pool_of(field: VelocityField | StoredField, needed: np.ndarray) -> Pool:
-    """Return the pool for chunks of `touched_chunks`; a stored field keeps its last one, and reads it again where that
-    fits: each of its frames is needed many times."""
-    if not isinstance(field, StoredField):
-        return _fill(field, needed)
-    state = field.__dict__
-    held = state["_pool"].held if "_pool" in state else np.zeros_like(needed)
-    if "_pool" not in state or (needed & ~held).any():
-        state.pop("_pool", None)  # first: both at once would be the peak of the memory
-        both = needed | held
-        state["_pool"] = _fill(field, both if _bytes(field, both) <= POOL_BYTES else needed)
-    return state["_pool"]
-
-
-def pool_bytes(field: StoredField) -> int:
-    """Return how large what was read of a field may be."""
-    return field.__dict__["_pool"].cells.nbytes if "_pool" in field.__dict__ else 0
-
-
-def _bytes(field: VelocityField | StoredField, needed: np.ndarray) -> int:
-    return int(needed.sum()) * EDGE**3 * 4 * np.dtype(_dtype(field)).itemsize
-
-
-def _dtype(field) -> type:
-    return (
-        np.float16
-        if (field.dtype if isinstance(field, StoredField) else field.velocity.dtype) == np.float16
-        else np.float32
-    )
 
 
 def _aligned_zeros(shape: tuple[int, ...], dtype: type) -> np.ndarray:
@@ -243,11 +247,9 @@ def _aligned_zeros(shape: tuple[int, ...], dtype: type) -> np.ndarray:
     return raw[start : start + size].view(dtype).reshape(shape)
 
 
-def _fill(field: VelocityField | StoredField, needed: np.ndarray) -> Pool:
+def _fill(field: VelocityField | StoredField, dtype: type, needed: np.ndarray) -> Pool:
     numbers = [tuple(n) for n in np.argwhere(needed).tolist()]
-    cells = _aligned_zeros(
-        (1 + len(numbers), EDGE, EDGE, EDGE, 4), _dtype(field)
-    )  # slots that stay empty take no memory
+    cells = _aligned_zeros((1 + len(numbers), EDGE, EDGE, EDGE, 4), dtype)  # slots that stay empty take no memory
 
     def load(slot: int) -> bool:
         chunk = field.chunk(numbers[slot - 1])

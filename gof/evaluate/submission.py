@@ -26,6 +26,7 @@ from gof.dataset import Dataset
 from gof.dataset.leaks import FILE as MADE_FROM
 from gof.dataset.leaks import MadeFrom, leaks
 from gof.dataset.plates import background
+from gof.evaluate.dve_frame import Opacity
 from gof.evaluate.image import psnr
 from gof.evaluate.intervals import over_frames
 from gof.evaluate.method import AboutMethod
@@ -180,7 +181,8 @@ def read_again(run: Run, dataset: Dataset) -> MovingGaussians:
 Verdict = Literal["ok", "hint", "refused"]
 SIGNS: dict[Verdict, str] = {"ok": "✓", "hint": "?", "refused": "✗"}
 
-ORDER, OPACITY = 3, "temporal"  # of every score; nothing in a submission chooses them
+ORDER = 3  # of every score, as OPACITY; nothing in a submission chooses them
+OPACITY: Opacity = "temporal"
 SEEDS = 3  # runs of a method whose training is random
 ALIKE_DB = 40.0  # PSNR, whole and in the flame, of a submitted picture against ours of the same Gaussians
 SAME = 0.005  # relative: what another CPU may change of a score
@@ -227,8 +229,8 @@ def check(
 def score_again(run: Run, dataset: Dataset) -> Scores:
     """Return a run's scores, computed from its files: read and drawn as its scores.json says, scored like every
     other."""
-    scored = {"order": ORDER, "opacity": OPACITY}
-    return evaluate(run.result, dataset, foreign=run.options, flame_only=run.scores.import_.over_plates, **scored)
+    over_plates = run.scores.import_.over_plates
+    return evaluate(run.result, dataset, ORDER, OPACITY, foreign=run.options, flame_only=over_plates)
 
 
 # ---------------------------------------------------------------- the method
@@ -331,7 +333,8 @@ def _like_the_submitted(run: Run, dataset: Dataset, shown: Shown) -> float:
     theirs = read_picture(picture_file(run.folder, camera.name, shown.frame), size=(camera.width, camera.height))
     pair = shown.image, theirs[..., ::-1] / 255
     flame = psnr(*pair, dataset.mask(shown.camera, shown.frame))  # the surroundings are easy; None without flame
-    return min(psnr(*pair), 99.0 if flame is None else flame, 99.0)
+    whole = psnr(*pair)
+    return min(99.0 if found is None else found for found in (whole, flame, 99.0))
 
 
 def _unseen(run: Run, dataset: Dataset, gaussians: MovingGaussians, name: str) -> Finding:
@@ -371,13 +374,13 @@ def _scores(run: Run, again: Scores, name: str) -> Iterator[Finding]:
             f"scores.json has order {dve.order} and {dve.opacity} opacity; everybody is scored with {ORDER}, {OPACITY}"
         )
         yield Finding(name, "scored as everybody", "refused", said)
-    said, ours = _figures(run.scores), _figures(again)
+    stated, ours = _figures(run.scores), _figures(again)
     off = [
-        f"{key} is {ours[key]:.4f}, its scores.json says {said[key]:.4f}"
-        if said.get(key) is not None
+        f"{key} is {ours[key]:.4f}, its scores.json says {stated[key]:.4f}"
+        if stated.get(key) is not None
         else f"{key} is {ours[key]:.4f}, its scores.json does not say"
         for key in ours
-        if said.get(key) is None or abs(said[key] - ours[key]) > SAME * max(abs(ours[key]), 0.1)
+        if stated.get(key) is None or abs(stated[key] - ours[key]) > SAME * max(abs(ours[key]), 0.1)
     ]
     if off:
         yield Finding(name, "scores reproduce", "refused", "; ".join(off))

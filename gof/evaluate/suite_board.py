@@ -322,15 +322,17 @@ def placed(figure: Figure, place: Figure | None) -> Figure:
 def _places(key: str, names: Sequence[str], scenes: Sequence[ScoredScene]) -> dict[str, Figure]:
     """Mean, rank and wins of the methods that have the figure everywhere; empty with fewer than two."""
     sign = COLUMNS[key].better
-    found = {name: _estimate(key, name, scenes)[0] for name in names}
-    names = [name for name in names if found[name] is not None]
+    estimates = {name: _estimate(key, name, scenes)[0] for name in names}
+    found = {name: estimate for name, estimate in estimates.items() if estimate is not None}
+    names = list(found)
     if len(names) < 2 or not scenes:
         return {}
     means = [found[name].mean for name in names]
     p_values = np.ones((len(names), len(names)))
     for i, j in combinations(range(len(names)), 2):
         apart = [difference(key, names[i], names[j], scene) for scene in scenes]
-        p_values[i, j] = p_values[j, i] = 1.0 if None in apart else over_scenes(apart).p_value
+        known = [estimate for estimate in apart if estimate is not None]
+        p_values[i, j] = p_values[j, i] = over_scenes(known).p_value if len(known) == len(apart) else 1.0
     order = ranks(means, p_values, sign)
     per_scene = np.array([[_estimate(key, name, [scene])[0].mean for name in names] for scene in scenes])
     wins = (per_scene == (sign * per_scene).max(1, keepdims=True) * sign).sum(0)
@@ -446,4 +448,5 @@ def _mean(runs: Sequence[EvaluatedResult], figure: str) -> float | None:
 
 
 def _average(values: Sequence[float | None]) -> float | None:
-    return None if None in values or not values else float(np.mean(values))
+    known = [value for value in values if value is not None]
+    return float(np.mean(known)) if known and len(known) == len(values) else None

@@ -12,8 +12,8 @@ from dataclasses import replace
 import numpy as np
 
 from gof.core.gaussians import MovingGaussians
-from gof.evaluate.draws import own_generator
 from gof.evaluate.dve_frame import DVEResult, DVESequence, Samples, Sums, score_sequence, weighted_sums
+from gof.evaluate.intervals import own_generator
 
 HEIGHT_BINS = 32
 MIN_PER_BIN = 64  # fewer Gaussians in a layer and the layer's mean would follow single Gaussians

@@ -93,9 +93,12 @@ def _tracks_of_mp4(header: bytes) -> Iterator[VideoTrack]:
         kind = inside(header, *trak, b"mdia", b"hdlr")
         shown = inside(header, *trak, b"tkhd")
         table = inside(header, *trak, b"mdia", b"minf", b"stbl")
+        described = table and inside(header, *table, b"stsd")
         if not (kind and shown and table) or header[kind[0] + 8 : kind[0] + 12] != b"vide":
             continue
-        entry = inside(header, *table, b"stsd")[0] + 8  # the first description
+        if described is None:
+            raise ValueError("a track of pictures without a description")
+        entry = described[0] + 8  # the first one
         width, height = struct.unpack_from(">HH", header, entry + 32)
         more = entry + 86, entry + struct.unpack_from(">I", header, entry)[0]
         fields = inside(header, *more, b"fiel")
@@ -106,7 +109,7 @@ def _tracks_of_mp4(header: bytes) -> Iterator[VideoTrack]:
             height,
             frames or None,
             bool(header[shown[0] + 3] & 1),
-            bool(fields) and header[fields[0]] == 2,
+            fields is not None and header[fields[0]] == 2,
             _colour_of_mp4(header, *more),
         )
 
@@ -172,7 +175,8 @@ def _variable(data: bytes, at: int, marked: bool = False) -> tuple[int | None, i
     value = int.from_bytes(data[at : at + length], "big")
     if not marked:
         value -= 1 << (7 * length)
-        value = None if value == (1 << (7 * length)) - 1 else value
+        if value == (1 << (7 * length)) - 1:
+            return None, at + length
     return value, at + length
 
 

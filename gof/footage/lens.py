@@ -22,6 +22,7 @@ CAMERA_AXES = {  # of the turned picture (rows: right, down, forward) in those o
     "counterclockwise": np.array([[0.0, 1, 0], [-1, 0, 0], [0, 0, 1]]),
     "half": np.diag([-1.0, -1, 1]),
 }
+STRAIGHT = np.empty(0)  # coefficients of a lens without distortion, as OpenCV takes them
 DISTORTIONS = (0, 4, 5, 8, 12, 14)  # how many coefficients OpenCV's models have
 
 
@@ -161,8 +162,8 @@ def straightening(
     bent_K[:2, 2] -= half_pixel
     straight_K[:2, 2] -= half_pixel
     size = (straight.width, straight.height)
-    maps = cv2.initUndistortRectifyMap(bent_K, distortion, None, straight_K, size, cv2.CV_16SC2)
-    return lambda picture: turned(cv2.remap(picture, *maps, cv2.INTER_LINEAR), turn)
+    x, y = cv2.initUndistortRectifyMap(bent_K, distortion, np.eye(3), straight_K, size, cv2.CV_16SC2)
+    return lambda picture: turned(np.asarray(cv2.remap(picture, x, y, cv2.INTER_LINEAR)), turn)
 
 
 def turned(picture: np.ndarray, turn: Turn) -> np.ndarray:

@@ -19,10 +19,9 @@ import numpy as np
 from gof.core.errors import DataFormatError
 from gof.core.numbered import frame_of, is_hidden, number_files
 from gof.footage.colour import UNKNOWN, Colour
-from gof.footage.combs import find_combs
 from gof.footage.containers import codes_fields, film_track, made_at, video_tracks
+from gof.footage.defects import Changes, find_combs
 from gof.footage.pictures import read_picture, read_rotation
-from gof.footage.repeats import Changes
 
 PICTURES = (".png", ".jpg", ".jpeg", ".tif", ".tiff", ".bmp")
 UNREAD = frozenset(
@@ -54,7 +53,7 @@ class VideoInfo:
         pixel_aspect: width of a pixel over its height, as players show it.
         start_s: time of the first frame on the file's own clock; stamps_s count from it.
         two_fields: container or codec allow interlaced frames.
-        repeated: numbers of the frames that show the one before again, see `gof.footage.repeats`.
+        repeated: numbers of the frames that show the one before again, see `gof.footage.defects`.
         made_s: when the file says that it was made, s since 1970; None: it does not.
     """
 
@@ -91,7 +90,7 @@ class VideoInfo:
         if self.frames is None or not self.stated_frames:
             return False
         least = self.stated_frames - max(CUT_FRAMES, CUT_SHARE * self.stated_frames)
-        if self.frames >= least or self.usual_step_s is None or not self.stated_fps:
+        if self.frames >= least or self.stamps_s is None or self.usual_step_s is None or not self.stated_fps:
             return self.frames < least
         # Of a variable rate the stated count can be an estimate; the last stamp tells.
         return (self.stamps_s[-1] - self.stamps_s[0] + self.usual_step_s) * self.stated_fps < least
@@ -230,7 +229,7 @@ def numbered_pictures(folder: Path) -> list[tuple[int, Path]]:
     """As `picture_files`, with the frames' numbers."""
     found = number_files(loose_pictures(folder))
     if len(found) > 1:
-        name, known = frame_of(found[0][1])[0], {number for number, _ in found}
+        name, known = (frame_of(found[0][1]) or ("", 0, ""))[0], {number for number, _ in found}
         for file in sorted(Path(folder).iterdir()):
             other = None if is_hidden(file) or file.is_dir() else frame_of(file)
             if other and f"{other[0]}.".startswith(f"{name}.") and other[1] not in known:
@@ -414,7 +413,8 @@ def read_info(path: Path, progress: Callable[[int, int], None] | None = None) ->
                 progress(number + 1, info.frames or 0)
         info = replace(info, repeated=changes.repeated)
     else:
-        stamps, start = [], 0.0
+        stamps: list[float] = []
+        start = 0.0
         with _opened(info.path) as video:
             while video.grab():
                 if not stamps and info.stated_fps:
@@ -430,7 +430,7 @@ def read_info(path: Path, progress: Callable[[int, int], None] | None = None) ->
         info = replace(info, stamps_s=np.array(stamps), frames=len(stamps), start_s=start, repeated=changes.repeated)
         tracks = video_tracks(info.path)
         if info.stated_frames and not (tracks and tracks[0].frames):  # an estimate: the duration begins at zero
-            info = replace(info, stated_frames=info.stated_frames - round(start * info.stated_fps))
+            info = replace(info, stated_frames=info.stated_frames - round(start * (info.stated_fps or 0.0)))
     alike = [(a, b) for a, b in itertools.pairwise(sorted(seen)) if b == a + 1 and seen[a].shape == seen[b].shape]
     combs = find_combs((seen[a], seen[b]) for a, b in alike)
     if combs.shown or (info.two_fields and not combs.ruled_out):

@@ -90,13 +90,13 @@ def _stored_up(found: list[Stream]) -> np.ndarray | str | None:
 
 def _scaled(stream: Stream, name: str) -> np.ndarray:
     """Return (N, 3) in the sensor's unit. Raises DataFormatError: of another shape, not finite, or scaled by zero."""
-    scale = stream.get("SCAL")
+    scale, values = stream.get("SCAL"), np.asarray(stream[name])
     divisor = scale.reshape(-1) if isinstance(scale, np.ndarray) else np.ones(1)
-    if not np.isfinite(divisor).all() or (divisor == 0).any() or divisor.size not in (1, stream[name].shape[1]):
+    if not np.isfinite(divisor).all() or (divisor == 0).any() or divisor.size not in (1, values.shape[1]):
         raise DataFormatError(f"its sensor '{name}' has the scale {divisor.tolist()}")
-    if stream[name].shape[1] != 3 or not np.isfinite(stream[name]).all():
+    if values.shape[1] != 3 or not np.isfinite(values).all():
         raise DataFormatError(f"its sensor '{name}' has samples that are not three finite numbers")
-    return stream[name] / divisor
+    return values / divisor
 
 
 def up_from_tilts(poses: np.ndarray, tilts: tuple[Tilt, ...], near: np.ndarray) -> tuple[np.ndarray, UpReport] | str:
@@ -163,7 +163,7 @@ def _samples(file: BinaryIO) -> Iterator[bytes]:
     for start, end in boxes(header, 0, len(header), b"trak"):
         table = inside(header, start, end, b"mdia", b"minf", b"stbl")
         described = table and inside(header, *table, b"stsd")
-        if described and header[described[0] + 12 : described[0] + 16] == b"gpmd":
+        if table and described and header[described[0] + 12 : described[0] + 16] == b"gpmd":
             places = list(_places(header, *table))
             if sum(size for _, size in places) > file.seek(0, 2):
                 raise ValueError("its samples claim more than the file holds")

@@ -8,7 +8,7 @@ from itertools import product
 import numpy as np
 
 from gof.dataset.poses import PointCheck
-from gof.footage.lens import Lens
+from gof.footage.lens import STRAIGHT, Lens
 from gof.ingest.bundle import Sightings, State, adjust
 from gof.ingest.marked_points import MarkedPoint
 from gof.ingest.sfm import Features, Model, PoseError, epipolar_distance
@@ -98,10 +98,10 @@ def _pnp(camera: int, points: list[MarkedPoint], lens: Lens, name: str) -> list[
         raise PoseError(f"camera '{name}': its known points lie on one line; add one beside it")
     flat = spread[2] < 1e-6 * spread[0]
     kind = cv2.SOLVEPNP_IPPE if flat else cv2.SOLVEPNP_SQPNP
-    _, rotations, shifts, _ = cv2.solvePnPGeneric(xyz, pixels, lens.K, None, flags=kind)
+    _, rotations, shifts, _ = cv2.solvePnPGeneric(xyz, pixels, lens.K, STRAIGHT, flags=kind)
     poses = []
     for r, t in zip(rotations, shifts, strict=True):
-        r, t = cv2.solvePnPRefineLM(xyz, pixels, lens.K, None, r, t)
+        r, t = cv2.solvePnPRefineLM(xyz, pixels, lens.K, STRAIGHT, r, t)
         pose = np.eye(4)
         pose[:3, :3] = cv2.Rodrigues(r)[0]
         pose[:3, 3] = t.ravel()

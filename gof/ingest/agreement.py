@@ -88,13 +88,13 @@ def part_of(path: Path) -> tuple[str, int] | None:
 
 def require_one_film_each(paths: list[Path]) -> None:
     """Raise DataFormatError: two files of a folder are parts of one film by one camera."""
-    known: dict[tuple[Path, str], Path] = {}
+    known: dict[tuple[Path, str], tuple[Path, int]] = {}
     for path in paths:
         if part := part_of(path):
-            other = known.setdefault((path.parent.resolve(), part[0]), path)
+            other, number = known.setdefault((path.parent.resolve(), part[0]), (path, part[1]))
             if other != path:
                 raise DataFormatError(
-                    f"{path}: is part {part[1]} of the film of which {other.name} is part {part_of(other)[1]}: one "
+                    f"{path}: is part {part[1]} of the film of which {other.name} is part {number}: one "
                     "camera wrote both. Give each camera's own film; ffmpeg's concat joins parts"
                 )
 
@@ -128,8 +128,8 @@ def _clock_notes(videos: list[VideoInfo]) -> list[str]:
             f"the first pictures are at different times of the files' own clocks ({each}); unless --times or --start "
             "says otherwise, they are taken as of one moment"
         )
-    made = [video.made_s for video in videos]
-    if None not in made:
+    made = [video.made_s for video in videos if video.made_s is not None]
+    if made and len(made) == len(videos):
         longest = max((video.frames or 0) * (video.usual_step_s or 0) for video in videos)
         if max(made) - min(made) > longest + CLOCKS_DIFFER_S:
             notes.append(
@@ -181,10 +181,10 @@ def require_one_length(videos: list[VideoInfo], clocks: list[np.ndarray]) -> Non
     step = max(np.median(np.diff(clock)) if len(clock) > 1 else 0.0 for clock in clocks)
     if max(lasts) - min(lasts) > 0.5 * step:
         each = ", ".join(f"{video.path.name} {video.frames}" for video in videos)
-        zeros = " ".join("0" for _ in videos)
+        zeros, fewest = " ".join("0" for _ in videos), min(video.frames or 0 for video in videos)
         raise GofError(
             f"the clips differ in length (frames: {each}): do they begin together? If so, say how many frames to use, "
-            f"as --frames {min(video.frames for video in videos)}; if not, give a frame of each that was taken at the "
+            f"as --frames {fewest}; if not, give a frame of each that was taken at the "
             f"same moment, as --start {zeros}, or film the board and use 'gof capture sync'",
             anchor="the-clips-differ-in-length",
         )

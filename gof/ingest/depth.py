@@ -195,7 +195,7 @@ def write_plate_depths(dataset: Dataset, weights: Path | None = None, overwrite:
     refuse_leaks(dataset)
     poses = Poses.read(dataset.path)
     sparse = np.zeros((0, 3)) if poses is None else poses.points_array() - dataset.datum.position
-    plates = [np.uint8(np.rint(255 * dataset.static(c))) for c in range(len(dataset.cameras))]
+    plates = [np.rint(255 * dataset.static(c)).astype(np.uint8) for c in range(len(dataset.cameras))]
     found = stereo_depth(plates, dataset.cameras, sparse)
     maps = [whole_depth(partial, plate, weights) for partial, plate in zip(found, plates, strict=True)]
     clouds = [
@@ -308,7 +308,7 @@ def frame_depths(dataset: Dataset, frame: int, points: np.ndarray, weights: Path
     Raises:
         GofError: see `complete`, `align`.
     """
-    pictures = [np.uint8(np.rint(255 * dataset.image(c, frame))) for c in range(len(dataset.cameras))]
+    pictures = [np.rint(255 * dataset.image(c, frame)).astype(np.uint8) for c in range(len(dataset.cameras))]
     return [
         _by_stereo(stereo, picture) if weights is None else _by_network(stereo, picture, weights)
         for stereo, picture in zip(stereo_depth(pictures, dataset.cameras, points), pictures, strict=True)

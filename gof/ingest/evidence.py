@@ -119,7 +119,7 @@ class KnownRig:
                     f"{folder}: its camera '{camera.name}' has a focal length of {expected[0, 0]:.0f} px at this size, "
                     f"the footage {lens.K[0, 0]:.0f} px; give both clips the same --fov or --cameras"
                 )
-        plates = [np.uint8(np.rint(255 * dataset.static(c))) for c in range(len(lenses))]
+        plates = [np.rint(255 * dataset.static(c)).astype(np.uint8) for c in range(len(lenses))]
         world = dataset.description.cameras_from(Datum(), "train")  # as the file has it: a new dataset's is the same
         poses = np.array([camera.world_to_camera for camera in world])
         return cls(folder, poses, str(dataset.description.provenance.get("scale", METRES)), plates)
@@ -190,7 +190,7 @@ def _feature_masks(
     masks = [_still(clip) for clip in clips]
     if options.board:
         for c, mask in enumerate(masks):
-            mask &= ~board_region(board, c, options.board, options.marker_side, mask.shape)
+            mask &= ~board_region(board, c, options.board, options.marker_side, mask.shape[:2])
     return masks
 
 
@@ -249,7 +249,7 @@ def _seen_leds(summary: Summary, template: BoardTemplate) -> dict[int, np.ndarra
 
 
 def board_region(
-    points: list[MarkedPoint], camera: int, template: BoardTemplate, marker_m: float, shape: tuple[int, int]
+    points: list[MarkedPoint], camera: int, template: BoardTemplate, marker_m: float, shape: tuple[int, ...]
 ) -> np.ndarray:
     """Return (H, W) bool: the board's outline in a camera, grown a little; all False where it is not seen."""
     import cv2
@@ -259,10 +259,10 @@ def board_region(
     if len(corners) < len(MARKER_CORNERS):
         return region > 0
     pixels = np.array([p.pixels[camera] for p in corners])
-    H, _ = cv2.findHomography(np.array([p.xyz[:2] / marker_m for p in corners]), pixels)
+    H, _ = cv2.findHomography(np.array([p.xyz[:2] / marker_m for p in corners if p.xyz is not None]), pixels)
     if H is None:
         return region > 0
     outline = cv2.perspectiveTransform(template.outline.reshape(1, -1, 2), H)[0]
-    cv2.fillPoly(region, [np.rint(outline).astype(np.int32)], 1)
+    cv2.fillPoly(region, [np.rint(outline).astype(np.int32)], (1,))
     side = max(3, int(GROWN * np.linalg.norm(pixels[1] - pixels[0])))
     return cv2.dilate(region, np.ones((side, side), np.uint8)) > 0

@@ -155,7 +155,7 @@ class Footage:
     @property
     def frame_counts(self) -> list[int]:
         """How many frames each video has."""
-        return [info.frames for info in self.infos]
+        return [info.frames or 0 for info in self.infos]
 
     @property
     def names(self) -> list[str]:

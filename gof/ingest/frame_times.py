@@ -198,8 +198,8 @@ def _steps(video: VideoInfo) -> np.ndarray:
         step = usual_step(list(video.numbers))
         return np.array([(number - video.numbers[0]) // step for number in video.numbers], np.float64)
     usual = video.usual_step_s
-    if usual is None:
-        return np.arange(video.frames, dtype=np.float64)
+    if usual is None or video.stamps_s is None:
+        return np.arange(video.frames or 0, dtype=np.float64)
     steps = np.maximum(np.rint(np.diff(video.stamps_s) / usual), 1)
     grid = np.concatenate([[0.0], np.cumsum(steps)])
     line = np.polynomial.Polynomial.fit(grid, video.stamps_s, 1)
@@ -227,10 +227,10 @@ def measured_times(timing: Timing, videos: list[VideoInfo]) -> FrameTimes:
     """
     if len(timing.start) != 1:
         raise GofError("--start: with --times give the first camera's only; the others' follow from the times")
-    synced, notes = _read_sync(timing.times, videos)
-    cameras = [video.times for video in synced]
+    assert timing.times is not None, "the way that was chosen"
+    synced, cameras, notes = _read_sync(timing.times, videos)
     start = timing.start[0]
-    if not 0 <= start < videos[0].frames:
+    if not 0 <= start < (videos[0].frames or 0):
         raise GofError(f"--start {start}: the first video has {videos[0].frames} frames")
     middles = [
         _without_repeats(np.array([frame.time_s for frame in camera.frames]), video)
@@ -241,24 +241,26 @@ def measured_times(timing: Timing, videos: list[VideoInfo]) -> FrameTimes:
     begins = [middle - _readout_s(camera) / 2 for middle, camera in zip(middles, cameras, strict=True)]
     row_time_s = [camera.row_time_us * 1e-6 for camera in cameras]
     source = "gof capture sync"
-    estimated = [video.name for video in synced if video.times.clock == "flame"]
-    heard = [video.name for video in synced if video.times.clock == "sound"]
+    by_name = [(video.name, camera) for video, camera in zip(synced, cameras, strict=True)]
+    estimated = [name for name, camera in by_name if camera.clock == "flame"]
+    heard = [name for name, camera in by_name if camera.clock == "sound"]
     if estimated:
         source += f"; the clock of {', '.join(estimated)} is estimated from the flame"
     if heard:
         source += "; the clocks are by the films' sound"
     times = FrameTimes.of(pairing, begins, row_time_s, [camera.readout for camera in cameras], source)
-    warnings = tuple(f"{video.name}: {warning}" for video in synced for warning in video.times.warnings)
+    warnings = tuple(f"{name}: {warning}" for name, camera in by_name for warning in camera.warnings)
     said = (f"the clock of {', '.join(estimated)} is estimated from the flame, to milliseconds",) if estimated else ()
     return replace(times, notes=(*notes, *said, *warnings, *times.notes))
 
 
-def _read_sync(path: Path, videos: list[VideoInfo]) -> tuple[list[SyncedVideo], tuple[str, ...]]:
-    """Return each video's entry of a times.json, all of which have times, and notes."""
+def _read_sync(path: Path, videos: list[VideoInfo]) -> tuple[list[SyncedVideo], list[VideoTimes], tuple[str, ...]]:
+    """Return each video's entry of a times.json, the times that each of them has, and notes."""
     known = read_record(FrameTimesFile, path).cameras
     if len(known) != len(videos):
         raise DataFormatError(f"{path}: has {len(known)} cameras; it must be made of the same {len(videos)} videos")
     found, notes = _entries(path, known, videos)
+    times = []
     for entry, video in zip(found, videos, strict=True):
         if entry.times is None:
             raise DataFormatError(
@@ -269,7 +271,8 @@ def _read_sync(path: Path, videos: list[VideoInfo]) -> tuple[list[SyncedVideo], 
             raise DataFormatError(
                 f"{path}: camera '{entry.name}' has {len(entry.times.frames)} frames, its video {video.frames}"
             )
-    return found, notes
+        times.append(entry.times)
+    return found, times, notes
 
 
 def _entries(
@@ -282,7 +285,7 @@ def _entries(
         GofError: by their names, those are in another order.
     """
     places = {entry.fingerprint: k for k, entry in enumerate(known) if entry.fingerprint}
-    chosen = [places.get(video.fingerprint) for video in videos]
+    chosen = [places.get(video.fingerprint or "") for video in videos]
     left = [k for k in range(len(known)) if k not in chosen]
     names = distinct_names([video.path for video in videos])
     theirs = [known[k].name for k in left]

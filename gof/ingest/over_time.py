@@ -15,12 +15,11 @@ MEDIAN_PASSES = 8  # how often `median` reads the clip: once per bit
 
 def darkest(clip: Collection[np.ndarray]) -> np.ndarray:
     """Return (H, W, 3) uint8: every pixel as it was in its frame of least luminance (the first of equals)."""
-    low = luma = None
-    for frame in clip:
+    frames = iter(clip)
+    low = next(frames).copy()
+    luma = low.astype(np.float32) @ LUMA
+    for frame in frames:
         now = frame.astype(np.float32) @ LUMA
-        if low is None:
-            low, luma = frame.copy(), now
-            continue
         darker = now < luma
         low[darker], luma[darker] = frame[darker], now[darker]
     return low
@@ -32,13 +31,11 @@ def median(clip: Collection[np.ndarray]) -> np.ndarray:
     Found bit by bit: the median has a bit if at most half of the values lie below the number that this bit completes.
     """
     below = (len(clip) - 1) // 2  # so many values may lie below the median
-    found = None
+    found = np.zeros((), np.uint8)  # of all values alike, before the first bit
     for bit in (128, 64, 32, 16, 8, 4, 2, 1):
-        count = tried = None
-        for frame in clip:
-            if tried is None:
-                found = np.zeros_like(frame) if found is None else found
-                tried, count = found + np.uint8(bit), np.zeros(frame.shape, np.uint16)
+        tried, frames = found + np.uint8(bit), iter(clip)
+        count = (next(frames) < tried).astype(np.uint16)
+        for frame in frames:
             count += frame < tried
         found = np.where(count <= below, tried, found)
     return found
@@ -47,8 +44,10 @@ def median(clip: Collection[np.ndarray]) -> np.ndarray:
 def largest_change(clip: Collection[np.ndarray]) -> np.ndarray:
     """Return (H, W) uint8: by how much the channel that changes most differs between its brightest and its darkest
     frame."""
-    low = high = None
-    for frame in clip:
-        low = frame.copy() if low is None else np.minimum(low, frame, out=low)
-        high = frame.copy() if high is None else np.maximum(high, frame, out=high)
+    frames = iter(clip)
+    low = next(frames).copy()
+    high = low.copy()
+    for frame in frames:
+        np.minimum(low, frame, out=low)
+        np.maximum(high, frame, out=high)
     return (high - low).max(-1)

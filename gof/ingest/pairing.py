@@ -75,8 +75,8 @@ def pair(names: list[str], clocks: list[np.ndarray], start: int, limit: int | No
             "choose a range without with --start and --frames",
             anchor="moments-some-camera-has-no-frame",
         )
-    frames = [numbers[used] for numbers in chosen]
-    return Pairing(frames, tuple(_notes(names, clocks, steps, frames, slowest)))
+    paired = [numbers[used] for numbers in chosen]
+    return Pairing(paired, tuple(_notes(names, clocks, steps, paired, slowest)))
 
 
 def _growing(clock: np.ndarray) -> np.ndarray:

@@ -19,7 +19,6 @@ from gof.dataset.poses import FILE as POSES
 from gof.dataset.poses import Poses
 from gof.footage.steadying import by_number, look, steady
 from gof.host.terminal import progress_bar
-from gof.ingest.alone import place_alone
 from gof.ingest.evidence import Evidence, PoseOptions
 from gof.ingest.fire_free import PlateOptions, make_plates, outside
 from gof.ingest.footage import (
@@ -34,7 +33,7 @@ from gof.ingest.footage import (
 )
 from gof.ingest.frame_times import FrameTimes, Timing
 from gof.ingest.over_time import darkest
-from gof.ingest.place import Placed
+from gof.ingest.place import Placed, place_alone
 from gof.ingest.published import CAMERAS_FILE
 
 WRITTEN = ("cameras", "static", "depth", "points.ply", POSES, CAMERAS_FILE)  # names in the folder, but for records

@@ -134,7 +134,7 @@ def read_plate(path: Path, lens: Lens, rotation_deg: int = 0) -> np.ndarray:
         picture, tag = cv2.cvtColor(read_picture(path, size=size), cv2.COLOR_BGR2RGB), read_rotation(path)
     else:
         info = read_info(path)
-        numbers = np.unique(np.linspace(0, info.frames - 1, MOST_LOOKED_AT).astype(int))
+        numbers = np.unique(np.linspace(0, (info.frames or 1) - 1, MOST_LOOKED_AT).astype(int))
         picture, tag = median(PreparedClip(path, size, tuple(numbers.tolist()), np.asarray)), info.rotation_deg
     if tag not in (0, rotation_deg):
         raise DataFormatError(

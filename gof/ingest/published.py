@@ -211,7 +211,7 @@ class PublishedFootage(Footage):
         lens = self.lenses[camera]
         if stored is None or stored.shape != (lens.height, lens.width):
             raise DataFormatError(f"{path}: must be a picture of {lens.width}x{lens.height} pixels, as the video")
-        return np.uint8(255 * (self.preparation(camera)(stored) > 127))
+        return (255 * (self.preparation(camera)(stored) > 127)).astype(np.uint8)
 
     def write_beside(self, out: Path) -> None:
         """out/published_cameras.json: the cameras in the published world, to move a result of theirs into ours."""

@@ -97,7 +97,7 @@ def solve(
         points=None if best is None else best.num_points3D(),
         reprojection_px=None if best is None else round(float(best.compute_mean_reprojection_error()), 3),
     )
-    if len(poses) < len(files):
+    if best is None or len(poses) < len(files):
         return Solution(None, features, figures)
     points = np.array([p.xyz for p in best.points3D.values()]).reshape(-1, 3)
     model = Model(np.array([poses[file] for file in files]), points)
@@ -129,7 +129,7 @@ def shift_between(
     """
     import cv2
 
-    sift = cv2.SIFT_create(MAX_FEATURES // 4, contrastThreshold=0.01)
+    sift = cv2.SIFT.create(MAX_FEATURES // 4, contrastThreshold=0.01)
     width, height = first.shape[1::-1]
     scale = np.array([width / second.shape[1], height / second.shape[0]])
     sides = []
@@ -140,8 +140,8 @@ def shift_between(
     (here, these), (there, those) = sides
     if len(here) < 2 or len(there) < 2:
         return float("nan"), 0
-    pairs = cv2.BFMatcher().knnMatch(these, those, k=2)
-    pairs = np.array([(a.queryIdx, a.trainIdx) for a, b in pairs if a.distance < 0.75 * b.distance]).reshape(-1, 2)
+    nearest = cv2.BFMatcher().knnMatch(these, those, k=2)
+    pairs = np.array([(a.queryIdx, a.trainIdx) for a, b in nearest if a.distance < 0.75 * b.distance]).reshape(-1, 2)
     if not len(pairs):
         return float("nan"), 0
     apart = np.linalg.norm(there[pairs[:, 1]] * scale - here[pairs[:, 0]], axis=1)

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from gof.core.cameras import Camera
+from gof.footage.lens import STRAIGHT
 
 MARGIN = 1.3  # size of a rectified picture against the picture's own: little is cut off
 BLOCK = 5  # px, side of the windows that are compared
@@ -23,7 +24,7 @@ def depth_range(cameras: list[Camera], points: np.ndarray, margin: float = 1.5) 
     depth = np.concatenate([c.to_camera(points)[:, 2] for c in cameras]) if len(points) else np.zeros(0)
     depth = depth[depth > 0]
     if len(depth) < 8:
-        baseline = max(np.linalg.norm(a.position - b.position) for a in cameras for b in cameras)
+        baseline = max(float(np.linalg.norm(a.position - b.position)) for a in cameras for b in cameras)
         return 0.25 * baseline, 80 * baseline
     return float(np.percentile(depth, 1) / margin), float(np.percentile(depth, 99) * margin)
 
@@ -69,16 +70,16 @@ class _Rectified:
     def of(cls, first: Camera, second: Camera, width: int, height: int) -> _Rectified:
         import cv2
 
-        relative = second.world_to_camera @ np.linalg.inv(first.world_to_camera)
+        relative: np.ndarray = second.world_to_camera @ np.linalg.inv(first.world_to_camera)
         K1, K2 = first.K.copy(), second.K.copy()
         for K in (K1, K2):
             K[:2, 2] -= 0.5
         size = (round(MARGIN * width), round(MARGIN * height))
         R1, R2, P1, P2, *_ = cv2.stereoRectify(
             K1,
-            None,
+            STRAIGHT,
             K2,
-            None,
+            STRAIGHT,
             (width, height),
             relative[:3, :3],
             relative[:3, 3:].copy(),
@@ -93,8 +94,8 @@ class _Rectified:
         """Return the view's picture (H, W, 3) RGB in grey, rectified."""
         import cv2
 
-        maps = cv2.initUndistortRectifyMap(view.K, None, view.R, view.P, self.size, cv2.CV_32FC1)
-        return cv2.remap(cv2.cvtColor(picture, cv2.COLOR_RGB2GRAY), *maps, cv2.INTER_LINEAR)
+        x, y = cv2.initUndistortRectifyMap(view.K, STRAIGHT, view.R, view.P, self.size, cv2.CV_32FC1)
+        return np.asarray(cv2.remap(cv2.cvtColor(picture, cv2.COLOR_RGB2GRAY), x, y, cv2.INTER_LINEAR))
 
     def disparity_range(self, near: float, far: float) -> tuple[int, int]:
         """Lowest disparity and their number, a multiple of 16, for depths between near and far (m)."""
@@ -121,7 +122,7 @@ class _Rectified:
             v.astype(np.float32),
             cv2.INTER_NEAREST,
             borderMode=cv2.BORDER_CONSTANT,
-            borderValue=float("nan"),
+            borderValue=(float("nan"),),
         )
         return z / rays[..., 2]
 
@@ -144,7 +145,7 @@ def _matched(first: np.ndarray, second: np.ndarray, low: int, count: int, pad: i
     import cv2
 
     first, second = (cv2.copyMakeBorder(p, 0, 0, pad, pad, cv2.BORDER_REPLICATE) for p in (first, second))
-    matcher = cv2.StereoSGBM_create(
+    matcher = cv2.StereoSGBM.create(
         low,
         count,
         BLOCK,

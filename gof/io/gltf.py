@@ -44,8 +44,10 @@ def save(gaussians: TransientGaussians, path: Path, time_s: float, source: str =
     columns = _columns(g, time_s)
     for name, values in columns.items():
         require_finite(name, values, "a GLB of float32")
-    accessors, views, attributes, start = [], [], {}, 0
-    parts = []
+    accessors: list[dict[str, Any]] = []
+    views: list[dict[str, int]] = []
+    attributes: dict[str, int] = {}
+    parts, start = [], 0
     for name, values in columns.items():
         data = np.ascontiguousarray(values).tobytes()
         attributes[name] = len(accessors)

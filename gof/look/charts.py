@@ -106,7 +106,8 @@ class Chart:
         """Write a file. Raises GofError: `path` is no .pdf, .svg or .png."""
         require_figure(path)
         kind = path.suffix.lower()[1:]
-        about = {"pdf": {"CreationDate": None}, "svg": {"Date": None}, "png": {}}[kind]
+        dates: dict[str, dict[str, str | None]] = {"pdf": {"CreationDate": None}, "svg": {"Date": None}, "png": {}}
+        about = dates[kind]
         about |= {"Title": self.title} if self.title else {}
         with _style({}), atomic_path(path) as temporary:
             self._drawn().savefig(temporary, format=kind, dpi=DPI, metadata=about)
@@ -138,7 +139,7 @@ def _style(settings: Mapping[str, str]) -> Iterator[None]:
     """Hold matplotlib for one thread, in our style, whatever the user's own settings are."""
     from matplotlib import style
 
-    with ONE_AT_A_TIME, style.context(["default", STYLE | settings]):
+    with ONE_AT_A_TIME, style.context(["default", {**STYLE, **settings}]):
         yield
 
 
@@ -205,8 +206,8 @@ def _chart(
         axes.set_ylabel(y_label, fontsize=size.letters)
         axes.set_title(title, fontsize=1.1 * size.letters, fontweight="bold", loc="left")
         _dress(axes, size.small)
-        place = {"loc": "lower left", "bbox_to_anchor": (size.left - 0.04, 0.0)}
-        figure.legend(fontsize=size.small, frameon=False, labelspacing=0.3, **place)
+        corner = (size.left - 0.04, 0.0)
+        figure.legend(fontsize=size.small, frameon=False, labelspacing=0.3, loc="lower left", bbox_to_anchor=corner)
 
     return Chart(title, (size.width, whole), draw, size.letters)
 
@@ -374,8 +375,8 @@ def accuracy_chart(key: str, points: Sequence[tuple[str, float, float]], constan
         x, y = zip(*(points[i][1:] for i in front), strict=True)
         axes.step(x, y, where="post", color=FRONT, linewidth=1, label=lines[0])
         for number, (shown, (name, seconds, score)) in enumerate(zip(names, points, strict=True)):
-            style = {"color": COLOURS[number % len(COLOURS)], "marker": MARKS[number % len(MARKS)]}
-            tip = _tip(name, f"{column.heading} {score:{column.format}}", f"{seconds:.4g} s")
+            style: dict[str, Any] = {"color": COLOURS[number % len(COLOURS)], "marker": MARKS[number % len(MARKS)]}
+            tip: dict[str, Any] = _tip(name, f"{column.heading} {score:{column.format}}", f"{seconds:.4g} s")
             axes.plot([seconds], [score], linestyle="none", markersize=4.5, label=shown, **style, **tip)
         if constant is not None:
             tip = _tip(lines[1], f"{constant:{column.format}}")
@@ -469,11 +470,11 @@ def stream_chart(title: str, density: np.ndarray, velocity: np.ndarray, cell_m: 
             shade = 0.15 + 0.85 * np.sqrt(np.clip(density / density.max(), 0, 1))
             flow = np.where(drawn[..., None], velocity, np.nan)
             lines = (across / (30 * STREAM_CELLS), up / (30 * STREAM_CELLS))  # matplotlib's 1 is thirty
-            colours = {"color": shade.T, "cmap": "inferno", "norm": Normalize(0, 1)}
-            strokes = {"linewidth": 1.0, "arrowsize": 0.7, "minlength": 0.06, "zorder": 2}
+            colours: dict[str, Any] = {"color": shade.T, "cmap": "inferno", "norm": Normalize(0, 1)}
+            strokes: dict[str, Any] = {"linewidth": 1.0, "arrowsize": 0.7, "minlength": 0.06, "zorder": 2}
             axes.streamplot(x, y, flow[..., 0].T, flow[..., 1].T, density=lines, **colours, **strokes)
         bar_m = _round_below(0.5 * across * cell_m)
-        white = {"color": "#ebebeb", "zorder": 4}
+        white: dict[str, Any] = {"color": "#ebebeb", "zorder": 4}
         axes.plot([1.5, 1.5 + bar_m / cell_m], [1.5, 1.5], linewidth=1.2, solid_capstyle="butt", **white)
         axes.text(1.5, 2.2, f"{bar_m:g} m", fontsize=SMALL, **white)
 
@@ -511,7 +512,7 @@ def frame_times_chart(name: str, times: CameraTimes, slot: np.ndarray | None, pe
         for used, face in ((True, COLOURS[1]), (False, "none")):
             these = times.used == used
             edge = COLOURS[1] if used else COLOURS[0]
-            dots = {"linestyle": "none", "marker": "o", "markersize": 2.5, "markerfacecolor": face}
+            dots: dict[str, Any] = {"linestyle": "none", "marker": "o", "markersize": 2.5, "markerfacecolor": face}
             above.plot(frame[these], shown[these], markeredgecolor=edge, clip_on=False, **dots)
         for level in (-times.rms_us, times.rms_us):
             above.axhline(level, color=SOFT, linestyle=":", linewidth=0.9)
@@ -531,7 +532,12 @@ def frame_times_chart(name: str, times: CameraTimes, slot: np.ndarray | None, pe
                 below.plot([begin, end], [-0.16, -0.16], color=colour, linewidth=3, solid_capstyle="butt")
                 below.text((begin + end) / 2, -0.12, f"slot {s}", fontsize=SMALL, ha="center", color=colour)
         for number, fault in enumerate(times.faults):
-            where = {"transform": below.transAxes, "fontsize": SMALL, "color": COLOURS[0], "parse_math": False}
+            where: dict[str, Any] = {
+                "transform": below.transAxes,
+                "fontsize": SMALL,
+                "color": COLOURS[0],
+                "parse_math": False,
+            }
             below.text(0.01, 0.95 - 0.08 * number, f"fault: {fault}", va="top", **where)
         ring = "LEDs' brightness over a round (exposure in the middle)"
         strips = "strips' brightness over the board's period (bars: nominal slots)"

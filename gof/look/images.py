@@ -26,7 +26,9 @@ def to_bytes(image: np.ndarray) -> np.ndarray:
 
 def enlarge(image: np.ndarray, factor: int) -> np.ndarray:
     """Return (H, W, 3) uint8 enlarged by a whole factor."""
-    return np.asarray(Image.fromarray(image).resize((image.shape[1] * factor, image.shape[0] * factor), Image.BICUBIC))
+    return np.asarray(
+        Image.fromarray(image).resize((image.shape[1] * factor, image.shape[0] * factor), Image.Resampling.BICUBIC)
+    )
 
 
 def factor_for(width: int) -> int:
@@ -59,7 +61,7 @@ def encoded(image: np.ndarray, kind: str = "webp", quality: int = 88, side: int 
     """Return (H, W, 3 or 4) uint8 as the bytes of a file, of at most `side` px where that is given."""
     picture = Image.fromarray(image)
     if side is not None:
-        picture.thumbnail((side, side), Image.LANCZOS)
+        picture.thumbnail((side, side), Image.Resampling.LANCZOS)
     buffer = io.BytesIO()
     picture.save(buffer, kind, **({"quality": quality, "method": 4} if kind == "webp" else {"optimize": True}))
     return buffer.getvalue()
@@ -122,7 +124,8 @@ def frames_within(
     if chosen is None:
         return [None] * len(views), "no recorded pictures"
     side, quality, every = chosen
-    packed, total = [], 0
+    packed: list[list[str | None] | None] = []
+    total = 0
     for number, (dataset, camera) in enumerate(views):
         taken = [
             base64_text(webp(dataset.image(camera, k), side, quality)) if k % every == 0 else None

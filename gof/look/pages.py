@@ -27,8 +27,13 @@ def template(name: str) -> Template:
     """Return a template of this room; what is not there is an error, and what comes in is text unless marked safe."""
     from jinja2 import Environment, PackageLoader, StrictUndefined
 
-    how = {"autoescape": True, "undefined": StrictUndefined, "trim_blocks": True, "lstrip_blocks": True}
-    environment = Environment(loader=PackageLoader("gof.look", "."), **how)
+    environment = Environment(
+        loader=PackageLoader("gof.look", "."),
+        autoescape=True,
+        undefined=StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+    )
     environment.filters["number"] = lambda value, digits=3: "n/a" if value is None else f"{value:.{digits}f}"
     environment.filters["duration"] = lambda s: f"{s:.1f} s" if s < 100 else f"{int(s // 60)} min {int(s % 60)} s"
     return environment.get_template(name)
@@ -53,7 +58,10 @@ class PageGrid:
 
 def page_pictures(rows: Sequence[Row]) -> list[list[PagePicture | None]]:
     """Return the tiles of a figure for a page."""
-    return [[tile and PagePicture(data_uri(flat(tile)), tile.title, in_words(tile)) for tile in row] for row in rows]
+    return [
+        [None if tile is None else PagePicture(data_uri(flat(tile)), tile.title, in_words(tile)) for tile in row]
+        for row in rows
+    ]
 
 
 def side_by_side(results: Sequence[EvaluatedResult], moment: Moment) -> PageGrid | None:
@@ -81,8 +89,8 @@ def flat(tile: Tile) -> np.ndarray:
     factor = factor_for(width)
     image = np.array(enlarge(tile.image, factor))  # one that may be written to
     for tail, head in tile.arrows * factor:
-        ends = [tuple(round(16 * c) for c in end.tolist()) for end in (tail, head)]  # 1/16 px
-        cv2.arrowedLine(image, *ends, (255, 255, 255), 1, cv2.LINE_AA, shift=4, tipLength=0.35)
+        begin, end = ([round(16 * c) for c in end.tolist()] for end in (tail, head))  # 1/16 px
+        cv2.arrowedLine(image, begin, end, (255, 255, 255), 1, cv2.LINE_AA, shift=4, tipLength=0.35)
     if tile.outline is not None:
         edges, _ = cv2.findContours(
             cv2.resize(tile.outline.astype(np.uint8), image.shape[1::-1], interpolation=cv2.INTER_NEAREST),
@@ -103,4 +111,5 @@ def flat(tile: Tile) -> np.ndarray:
 
 
 def _colour(number: int) -> tuple[int, int, int]:
-    return ImageColor.getrgb(BOX_COLOURS[number % len(BOX_COLOURS)])
+    red, green, blue, *_ = ImageColor.getrgb(BOX_COLOURS[number % len(BOX_COLOURS)])
+    return red, green, blue

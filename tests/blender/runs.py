@@ -10,8 +10,8 @@ from pathlib import Path
 import numpy as np
 import OpenEXR
 
-from gof_blender.pure.clip import Clip
 from gof_blender.pure.spec import Domain, Render, SceneSpec
+from gof_blender.pure.timing import Clip
 
 TOY = SceneSpec(
     "toy",

@@ -20,7 +20,7 @@ for frame in range(3):
 WORKER = """
 from pathlib import Path
 from gof_blender.pure import spec
-from gof_blender.pure.clip import Clip
+from gof_blender.pure.timing import Clip
 from gof_blender.worker import generate
 clip = Clip(frames=2, fps=60.0, warm_up_frames=1)
 toy = spec.SceneSpec("toy", clip=clip, domain=spec.Domain(resolution=16), background="studio")

@@ -200,7 +200,7 @@ home.mkdir()
 away.mkdir()
 for name in ("data", "result.npz"):
     (shutil.copytree if name == "data" else shutil.copy)(folder / name, home / name)
-from gof_blender.pure import points
+from gof_blender.pure.io.usd_points import at
 from gof_blender.pure.io import cloud as clouds
 from gof_blender.scene import point_cloud, result_file
 from gof_blender.ui.export import Recording
@@ -213,7 +213,7 @@ bpy.ops.wm.save_as_mainfile(filepath=blend, compress=False)
 result["told"] = b"secret_project_of_anna" in open(blend, "rb").read()
 thing = bpy.context.object
 result["found here"] = str(result_file.find(thing))
-truth = points.at(clouds.load(home / "result.npz"), 0.01)
+truth = at(clouds.load(home / "result.npz"), 0.01)
 for moved in (home / "result.npz", home / "data"):
     moved.rename(away / f"of {moved.name}")
 result_file._here.clear()  # another Blender, of somebody else
@@ -221,7 +221,7 @@ bpy.ops.wm.open_mainfile(filepath=blend)
 scene = bpy.context.scene
 thing = bpy.data.objects["result"]
 bpy.context.view_layer.objects.active = thing
-now = points.at(Recording.of(scene, thing).cloud, 0.01)
+now = at(Recording.of(scene, thing).cloud, 0.01)
 result["apart"] = max(
     float(np.abs(np.abs(getattr(now, name)) - np.abs(getattr(truth, name))).max()) for name in vars(truth)
 )

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from gof.core.gaussians import TransientGaussians
-from gof_blender.pure import points
+from gof_blender.pure.io import usd_points
 from gof_blender.pure.io.cloud import GaussianCloud, load
 from tests.blender.runs import in_blender
 
@@ -244,14 +244,14 @@ def test_points_without_blender(tmp_path, flame):
     """Rows, opacities and what a splat's attributes mean: opacity and display colour come back from "radiance"."""
     TransientGaussians(**flame).save(tmp_path / "result.npz")
     cloud: GaussianCloud = load(tmp_path / "result.npz")
-    found = points.at(cloud, (FIRST - START) / RATE * TIME_SCALE, 1 / 255, TIME_SCALE)
+    found = usd_points.at(cloud, (FIRST - START) / RATE * TIME_SCALE, 1 / 255, TIME_SCALE)
     seen, place, velocity = truth(flame, FIRST)
     assert found.row.tolist() == seen.tolist()
     np.testing.assert_allclose(found.position + [1.0, 2.0, 3.0], place, atol=1e-6)
     np.testing.assert_allclose(found.velocity, velocity, atol=1e-6)
     np.testing.assert_allclose(0.5 + 0.28209479 * found.radiance[:, :3], flame["color"][seen], atol=1e-6)
     np.testing.assert_array_equal(found.radiance[:, 3], found.opacity)
-    assert len(points.at(cloud, 0.0, 1.1)) == 0
+    assert len(usd_points.at(cloud, 0.0, 1.1)) == 0
 
 
 @pytest.mark.blender

@@ -522,7 +522,7 @@ def test_a_view_from_where_no_camera_filmed_is_a_guess(folder):
         + """
 import math
 from mathutils import Vector
-from gof_blender.scene import captured, filmed
+from gof_blender.scene import captured
 
 def add(name, degrees, of_ours=True):
     camera = bpy.data.objects.new(name, bpy.data.cameras.new(name))
@@ -533,7 +533,7 @@ def add(name, degrees, of_ours=True):
 
 def guess(degrees):
     bpy.context.view_layer.update()
-    return filmed.guess(scene, Vector((-math.sin(math.radians(degrees)), math.cos(math.radians(degrees)), 0)))
+    return captured.guess(scene, Vector((-math.sin(math.radians(degrees)), math.cos(math.radians(degrees)), 0)))
 
 add("mine", 180, of_ours=False)
 result["none"] = guess(0)

@@ -12,8 +12,8 @@ from gof.core.grid_writer import GridWriter
 from gof.dataset import Dataset
 from gof.evaluate import scores as gof_scores
 from gof.evaluate.sequence import dve_sequence
+from gof_blender.pure.dve import Scores
 from gof_blender.pure.score_process import Evaluation, EvaluationError
-from gof_blender.pure.scores import Scores
 from tests.blender.runs import in_blender
 from tests.conftest import arc, random_gaussians, write_dataset
 

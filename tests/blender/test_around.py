@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 
 from gof_blender.core.checked_json import SpecError
-from gof_blender.pure.clip import Clip
 from gof_blender.pure.plausibility import findings
 from gof_blender.pure.rig import Pose, Rig, positions, role_of, seen
 from gof_blender.pure.spec import SceneSpec, frames_around
+from gof_blender.pure.timing import Clip
 
 RIG = Rig(count=2, eval_count=1, around_frames=2, arc_deg=40, azimuth_deg=-90, radius=2, height=1, look_at=(1, 0, 0.5))
 

@@ -3,9 +3,9 @@
 import pytest
 
 from gof_blender.pure import spec as scene_spec
-from gof_blender.pure.clip import Clip
 from gof_blender.pure.effects import wind
 from gof_blender.pure.spec import Domain, Fire, SceneSpec
+from gof_blender.pure.timing import Clip
 from tests.blender.runs import in_blender
 
 pytest.importorskip("bpy", reason="bakes need the bpy wheel")

@@ -25,12 +25,12 @@ from gof_benchmark.solvers.grids import FireFrame, FireGrids, write_fire
 from gof_blender.core.checked_json import SpecError
 from gof_blender.pure import effects
 from gof_blender.pure import spec as scene_spec
-from gof_blender.pure.clip import Clip
 from gof_blender.pure.cost_model import REFERENCE, cells, predict
 from gof_blender.pure.effects import motion_blur, wind
 from gof_blender.pure.layout import Layout
 from gof_blender.pure.rig import Rig
 from gof_blender.pure.spec import Domain, GridFire, Render, SceneSpec
+from gof_blender.pure.timing import Clip
 from tests.blender.runs import channels
 
 CELL_M, GRID, STEP_S = 0.0125, (40, 36, 48), 0.02  # the stored clock is 0, 0.02, ... 0.08 s
@@ -313,7 +313,7 @@ def test_cost_is_that_of_a_conversion(tmp_path):
 
 def test_a_damaged_frame_is_named(tmp_path):
     from gof_blender.core.errors import DataFormatError
-    from gof_blender.pure.io.fire_store import FireStore
+    from gof_blender.pure.fires import FireStore
 
     write_puff(tmp_path / "grids")
     chunk = next(path for path in (tmp_path / "grids/emission.zarr/c/2").rglob("*") if path.is_file())

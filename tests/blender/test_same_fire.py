@@ -16,11 +16,11 @@ from gof_benchmark.commands.generate import main as generate_command
 from gof_benchmark.generator.blender_process import run_stage
 from gof_benchmark.scenes import claim
 from gof_blender.pure import spec as scene_spec
-from gof_blender.pure.clip import Clip
 from gof_blender.pure.effects import moving_emitter, wind
 from gof_blender.pure.fires import Domain
 from gof_blender.pure.layout import Layout
 from gof_blender.pure.rig import Rig
+from gof_blender.pure.timing import Clip
 from tests.blender.runs import TOY, in_blender
 
 HEADER = 400  # bytes of a grid's file in which the time of writing is

@@ -14,10 +14,10 @@ from gof_benchmark.scenes import FOLDER as SCENES
 from gof_blender.core.checked_json import SpecError
 from gof_blender.pure import effects
 from gof_blender.pure import spec as scene_spec
-from gof_blender.pure.clip import Clip
 from gof_blender.pure.effects import motion_blur, rolling_shutter, smoke, vorticity, wind
 from gof_blender.pure.rig import Rig
 from gof_blender.pure.spec import Domain, Fire, Render, SceneSpec
+from gof_blender.pure.timing import Clip
 
 SCENE_EFFECTS = Path(__file__).parents[2] / "blender_addon" / "scene" / "effects"
 

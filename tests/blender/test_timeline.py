@@ -3,10 +3,9 @@
 import numpy as np
 import pytest
 
-from gof_blender.pure.clip import Clip
 from gof_blender.pure.effects import clock, motion_blur, rolling_shutter
 from gof_blender.pure.spec import Render, SceneSpec
-from gof_blender.pure.timing import step_weights
+from gof_blender.pure.timing import Clip, step_weights
 
 SPEC = SceneSpec("x", clip=Clip(frames=3, fps=100.0, warm_up_frames=3), render=Render(percentage=10))
 

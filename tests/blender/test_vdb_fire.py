@@ -12,7 +12,7 @@ from gof_benchmark.solvers import vdb
 from gof_benchmark.solvers.grids import FireGrids
 from gof_blender.core.errors import DataFormatError
 from gof_blender.pure import spec as scene_spec
-from gof_blender.pure.io.fire_store import FireStore
+from gof_blender.pure.fires import FireStore
 from tests.blender.runs import TOY, in_blender
 
 WRITE = """

@@ -9,14 +9,13 @@ import cv2
 import numpy as np
 import pytest
 
-from gof.capture.boardless import by_light, by_sound, synchronise_without_board
+from gof.capture.boardless import RATE, by_light, by_sound, synchronise_without_board
 from gof.capture.flame_clock import read_light
 from gof.capture.sound_clock import NoSoundClock, find_lag
 from gof.capture.times import FrameTimesFile
 from gof.commands import cli
 from gof.core.errors import GofError
 from gof.core.records import read_record
-from gof.footage.sound import RATE
 
 NEEDS_FFMPEG = pytest.mark.skipif(shutil.which("ffmpeg") is None, reason="needs ffmpeg")
 

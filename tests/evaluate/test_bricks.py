@@ -9,7 +9,7 @@ from gof.evaluate import dve_sequence
 from gof.evaluate import sparse_grid as bricks
 from gof.evaluate.expectation import expected_velocity, expected_velocity_plain
 from gof.evaluate.grid_quadrature import expected_velocity_on_grid
-from gof.evaluate.sparse_grid import StoredField, StoredFields, cell_ranges, pool_of, touched_chunks
+from gof.evaluate.sparse_grid import Bricks, StoredField, StoredFields
 from tests.evaluate.analytic import Sequence, make_gaussians
 
 SHAPE = (150, 70, 130)  # 3 x 2 x 3 chunks, most of them cut off by the end of the grid
@@ -68,8 +68,8 @@ def test_parts_do_not_change_the_answer(store, monkeypatch):
     g = gaussians()
     whole = expected_velocity_on_grid(StoredField(store, 0.0), *shape_of(g), 3)
     monkeypatch.setattr(bricks, "POOL_BYTES", 3 * bricks.EDGE**3 * 16)
-    sizes = []
-    monkeypatch.setattr(bricks, "pool_of", lambda *a: sizes.append(pool_of(*a)) or sizes[-1])
+    sizes, pool = [], Bricks.pool
+    monkeypatch.setattr(Bricks, "pool", lambda self, needed: sizes.append(pool(self, needed)) or sizes[-1])
     for a, b in zip(whole, expected_velocity_on_grid(StoredField(store, 0.0), *shape_of(g), 3), strict=True):
         np.testing.assert_array_equal(a, b)
     assert len(sizes) > 3
@@ -106,7 +106,7 @@ def test_touched_chunks_against_counting():
             continue
         a, b = np.clip(a, 0, size - 1) // CHUNK, np.clip(b, 0, size - 1) // CHUNK
         expected[a[0] : b[0] + 1, a[1] : b[1] + 1, a[2] : b[2] + 1] = True
-    np.testing.assert_array_equal(touched_chunks(field, low, high), expected)
+    np.testing.assert_array_equal(Bricks(field).touched(low, high), expected)
 
 
 def test_every_node_falls_into_its_cell_range():
@@ -117,7 +117,7 @@ def test_every_node_falls_into_its_cell_range():
     field = VelocityField(np.zeros((4, 4, 4, 3)), np.diag([0.1, 0.3, 0.2, 1]))
     x, s, q = shape_of(g)
     nodes = product_rule(3)[0]
-    low, high = cell_ranges(field, x, s, np.abs(nodes).max())
+    low, high = Bricks(field).cell_ranges(x, s, np.abs(nodes).max())
     points = x[:, None] + np.einsum("nik,pk->npi", rotation_matrices(q) * s[:, None], nodes)
     index = np.floor(field.to_index(points.reshape(-1, 3)) - 0.5).reshape(points.shape)
     assert (index >= low[:, None]).all() and (index <= high[:, None]).all()

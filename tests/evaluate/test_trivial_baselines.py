@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 from gof.evaluate import dve_sequence
-from gof.evaluate.draws import own_generator
 from gof.evaluate.dve_frame import probe, weighted_sums
+from gof.evaluate.intervals import own_generator
 from gof.evaluate.trivial_baselines import TRIVIAL_BASELINES, skill
 from tests.evaluate.analytic import Analytic, Sequence, make_gaussians
 
@@ -140,7 +140,7 @@ def test_no_score_draws_from_a_generator_that_users_have():
     rooms = [*(root / "evaluate").rglob("*.py"), *(root / "look").rglob("*.py")]
     assert len(rooms) > 30
     drawn = [path.name for path in rooms if "np.random." in path.read_text().replace("np.random.Generator", "")]
-    assert drawn == ["draws.py"]
+    assert drawn == ["intervals.py"]
 
 
 def test_purposes_have_numbers_of_their_own_and_keep_them():

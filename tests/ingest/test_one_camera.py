@@ -8,8 +8,8 @@ from gof.commands import cli
 from gof.dataset import Dataset
 from gof.footage.lens import Lens
 from gof.ingest.accelerometer import Tilt
-from gof.ingest.alone import flame_ends, place_alone
 from gof.ingest.evidence import Evidence, PoseOptions
+from gof.ingest.place import flame_ends, place_alone
 
 WIDTH, HEIGHT, FOV_DEG, FRAMES = 160, 240, 40.0, 12
 TIP, FOOT, COLUMN = 60, 180, 90  # rows in which the flame ends, and the column of its middle

@@ -14,8 +14,8 @@ from PIL import Image
 
 from gof.commands import cli
 from gof.core.errors import DataFormatError
-from gof.footage.combs import find_combs
 from gof.footage.containers import codes_fields, video_tracks
+from gof.footage.defects import find_combs
 from gof.footage.videos import read_info, stored_frames
 from gof.ingest.footage import Footage
 from tests.videos import join_tracks, number_of, numbered, set_date, tag_fields, tag_pixels, tag_rotation, write_video

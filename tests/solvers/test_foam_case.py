@@ -15,11 +15,13 @@ from gof_benchmark.solvers.openfoam.case import (
     burner_areas,
     draught,
     edges,
+    named,
+    render,
     write_case,
     write_control,
+    write_dictionary,
     write_fields,
 )
-from gof_benchmark.solvers.openfoam.dictionary import named, render, write_dictionary
 from gof_benchmark.solvers.openfoam.foam_fire import FIRES, Burner, FoamFire, find_fire, growing
 from tests.solvers.conftest import toy_fire
 

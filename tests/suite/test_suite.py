@@ -10,7 +10,7 @@ import pytest
 from gof.core.errors import DataFormatError, GofError
 from gof.core.records import read_record
 from gof.dataset import Dataset
-from gof.dataset.truth import Truth
+from gof.dataset.pack import Truth
 from gof_benchmark import suite
 from gof_benchmark.commands import benchmark, benchmark_list
 from gof_benchmark.suite import SEALED, pick, scenes_of

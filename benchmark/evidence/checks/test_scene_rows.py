@@ -5,7 +5,7 @@ import json
 import numpy as np
 import pytest
 
-from gof_benchmark.evidence.scene_rows import table
+from gof_benchmark.evidence.baseline_rows import table
 from tests.suite.test_entering import SCENES, work  # noqa: F401
 
 

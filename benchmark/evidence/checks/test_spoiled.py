@@ -1,11 +1,19 @@
 """A dataset that is spoiled on purpose shows the same flame, as far as it should."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
+from gof.core.errors import DataFormatError, GofError
 from gof.dataset import Dataset
+from gof.footage.videos import read_info
 from gof_benchmark.evidence.hard_cases import about_x, behind_a_beam, dim, plate_with_fire, spoiled
+from gof_benchmark.evidence.ordinary_footage import tagged_clockwise
+from gof_benchmark.evidence.wrong_clocks import believing, mistakes
+from tests.conftest import tiny_dataset  # noqa: F401
 from tests.evaluate.synthetic_flame import flame_dataset
+from tests.videos import numbered, write_video
 
 
 @pytest.fixture(scope="module")
@@ -51,3 +59,33 @@ def test_fire_is_left_in_the_plates_and_not_in_the_pictures(flame):
     bad = spoiled(flame, plate=plate_with_fire(flame))
     np.testing.assert_array_equal(bad.image(0, 1), flame.image(0, 1))
     assert bad.static(0).sum() > flame.static(0).sum()
+
+
+# ----------------------------------------------------------------
+# The rotation tag that is written into phones' videos is the one that players turn by.
+
+
+def test_the_evidence_scripts_phones_have_the_tag(tmp_path):
+    video = write_video(tmp_path / "phone.mp4", numbered(30), 30.0)
+    video.write_bytes(tagged_clockwise(video.read_bytes()))
+    assert read_info(video).rotation_deg == 90
+    with pytest.raises(DataFormatError, match="lies as it is stored"):
+        tagged_clockwise(video.read_bytes())
+
+
+# ----------------------------------------------------------------
+# The study of wrong frame times changes what is believed about them, and nothing else.
+
+
+def test_rounded_and_exaggerated_times(tiny_dataset):  # noqa: F811
+    common = Dataset.open(tiny_dataset)
+    with pytest.raises(GofError, match="effect 'clock'"):
+        mistakes(common)
+    first, second = common.description.cameras
+    late = replace(second, time_s=tuple(t + 0.013 for t in common.times_s))  # 1.3 frames of 10 ms
+    dataset = replace(common, description=replace(common.description, cameras=(first, late)))
+    np.testing.assert_allclose(mistakes(dataset), [[0] * 4, [-0.003] * 4], atol=1e-9)
+    for error, expected in ((0, 0.013), (1, 0.010), (2, 0.007)):
+        wrong = believing(dataset, error)
+        np.testing.assert_allclose(wrong.camera_times_s(1), common.times_s + expected, atol=1e-9)
+        np.testing.assert_array_equal(wrong.camera_times_s(0), common.times_s)

@@ -13,7 +13,7 @@ import numpy as np
 from ...pure.fires import Burner
 from ...pure.spec import SceneSpec
 from .. import material, meshes
-from .lighting import light, sky
+from . import light, sky
 
 WALL_Y = 2.3
 COVERS = (

@@ -10,7 +10,7 @@ import numpy as np
 from ...pure.fires import Fire, GridFire
 from ...pure.spec import SceneSpec
 from .. import material, meshes
-from .lighting import light, sky
+from . import light, sky
 
 ARCADE_Y, WALL_Y = 1.55, 3.1
 BAY, SPRING, RADIUS = 1.25, 1.35, 0.47  # width of a bay, height where its arch begins, inner radius of the arch

@@ -7,7 +7,7 @@ import bpy
 from ...pure.fires import Fire
 from ...pure.spec import SceneSpec
 from .. import material, meshes
-from .lighting import light, sky
+from . import light, sky
 
 EXTENT = 40.0  # of the ground, in sizes of the fire's box
 

@@ -7,7 +7,7 @@ import bpy
 from ...pure.plausibility import studio_scale
 from ...pure.spec import SceneSpec
 from .. import material, meshes
-from .lighting import light, sky
+from . import light, sky
 
 
 def build(spec: SceneSpec, collection: bpy.types.Collection) -> None:

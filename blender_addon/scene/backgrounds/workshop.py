@@ -10,7 +10,7 @@ import numpy as np
 from ...pure.fires import Burner
 from ...pure.spec import SceneSpec
 from .. import material, meshes
-from .lighting import light, sky
+from . import light, sky
 
 
 def build(spec: SceneSpec, collection: bpy.types.Collection) -> None:

@@ -142,7 +142,8 @@ def _of_pictures(poses: Poses, path: Path) -> Poses:
     names = sorted(poses)
     centres = {name: np.linalg.inv(pose)[:3, 3] for name, pose in poses.items()}
     reach = max(np.linalg.norm(c - centres[min(centres)]) for c in centres.values()) if centres else 0.0
-    found, first = {}, {}
+    found: Poses = {}
+    first: dict[str, str] = {}  # the first picture of each camera
     for name, camera in zip(names, names_by_pictures(names), strict=True):
         seen = first.setdefault(camera, name)
         turned = _degrees(poses[seen][:3, :3] @ poses[name][:3, :3].T)

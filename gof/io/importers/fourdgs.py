@@ -12,7 +12,7 @@ import numpy as np
 
 from gof.core.datum import Datum
 from gof.core.errors import DataFormatError
-from gof.core.gaussians import TransientGaussians
+from gof.core.gaussians import FILLED_IN, TransientGaussians
 from gof.core.harmonics import C0
 from gof.io import fourdgs as f
 from gof.io.importers.source import Imported, ImportOptions, Source
@@ -121,7 +121,9 @@ class _Scene:
             (band,) = take("<B")
             if band not in f.BAND_COLUMNS:
                 raise DataFormatError(f"has a band {band} of harmonics; there are 1, 2 and 3")
-            self.bands[-1][band] = take.stream()[1]
+            _, harmonics = take.stream()
+            assert harmonics is not None, "all streams are known where none is named"
+            self.bands[-1][band] = harmonics
         elif opcode == f.DELTA_CHUNK:
             raise DataFormatError("has chunks of differences, which belong to the model keyframe-delta")
         elif opcode == f.OBJECT_TRACK:
@@ -161,6 +163,7 @@ class _Scene:
         bins = {name: np.concatenate([chunk[name] for chunk in self.chunks]) for name in names - {f.OBJECT}}
         if len(bins[f.POSITION]) != self.count:
             raise DataFormatError(f"announces {self.count} Gaussians and holds {len(bins[f.POSITION])}")
+        assert self.grid is not None, "`read` requires its record"
         grid, fades = self.grid, (bins[f.FLAGS][:, 0] & f.NEVER_FADES) == 0
         sigma_bins = bins[f.SIGMA_T][:, 0]
         window = self._windows(bins[f.WINDOW][:, 0])
@@ -185,7 +188,7 @@ class _Scene:
             color=self._with_harmonics(np.clip(np.stack([red + green, green, blue + green], 1) * grid.rgb, 0, 1)),
             dynamic=dynamic,
             gas_velocity=bins[f.GAS] * f.GAS_PITCH if f.GAS in bins else None,
-            velocity_sd=_spread(bins[f.SPREAD][:, 0]) if f.SPREAD in bins else None,
+            velocity_sd=_spread(bins[f.SPREAD][:, 0]) if f.SPREAD in bins else FILLED_IN,
         )
         notes = self._gates(g, window, start_s)
         if self.to_metres is None:

@@ -45,7 +45,7 @@ def read(source: Source, options: ImportOptions) -> Imported:
     try:
         trajectory = Trajectory(
             options.time_zero_s + offsets,
-            *(np.stack([s[name] for s in states]) for name in ("position", "opacity", "scale", "rotation")),
+            **{name: np.stack([s[name] for s in states]) for name in ("position", "opacity", "scale", "rotation")},
             color=states[len(states) // 2]["color"],
         )
     except DataFormatError as e:
@@ -99,7 +99,7 @@ def _plys(folder: Path) -> list[Path]:
 def _require_times(files: list[tuple[int, Path]], states: list[dict[str, np.ndarray]]) -> None:
     """Raise DataFormatError: the numbers are a training's steps, or of several pictures of one time."""
     path = files[0][1]
-    if TRAININGS.fullmatch(frame_of(path)[0].replace("#", "")):
+    if TRAININGS.fullmatch((frame_of(path) or ("", 0, ""))[0].replace("#", "")):
         raise DataFormatError(
             f"{path.parent}: PLYs named as '{path.name}' are of several steps of a training, not of several times; if "
             "they are of times, name them time_00000.ply, time_00001.ply, ..."

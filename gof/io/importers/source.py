@@ -105,7 +105,7 @@ class Source:
             DataFormatError: not a torch file, or it holds objects that only executing it could make.
         """
         torch = extras.load("torch", "torch", f"{self.path}: reading a checkpoint")
-        scalar = np.core.multiarray.scalar
+        scalar = np.float64(0).__reduce__()[0]  # what makes a number of numpy, in whichever of its modules it stands
         dtypes = [type(np.dtype(kind)) for kind in ("f2", "f4", "f8", "i4", "i8", "bool")]
         # a numpy number (3DGS saves spatial_lr_scale as one) under its names of numpy 1 and 2
         allowed = [

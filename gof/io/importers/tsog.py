@@ -15,7 +15,7 @@ from PIL import Image
 
 from gof.core.datum import Datum
 from gof.core.errors import DataFormatError, GofError
-from gof.core.gaussians import TransientGaussians
+from gof.core.gaussians import FILLED_IN, TransientGaussians
 from gof.core.harmonics import C0
 from gof.core.similarity import Y_UP
 from gof.io import tsog as t
@@ -82,7 +82,7 @@ def _gaussians(
         color=_colour(pictures, meta, _looked_up(meta["sh0"]["codebook"], base[:, :3])),
         dynamic=np.ones(len(place), bool) if flags is None else flags[:, 1] != 0,
         gas_velocity=pictures.pair(own["gas"], 3) if "gas" in own else None,
-        velocity_sd=None if flags is None else _spread(flags[:, 0]),
+        velocity_sd=FILLED_IN if flags is None else _spread(flags[:, 0]),
     )
     if flags is not None:
         g = replace(g, velocity=np.where(g.dynamic[:, None], g.velocity, 0))

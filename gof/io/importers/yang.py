@@ -87,7 +87,8 @@ def _training_settings(path: Path) -> dict[str, object]:
         return {}
     try:
         call = ast.parse(path.read_text(encoding="utf-8"), mode="eval").body
-        return {k.arg: ast.literal_eval(k.value) for k in call.keywords if _is_number(k.value)}
+        given = call.keywords if isinstance(call, ast.Call) else []
+        return {k.arg: ast.literal_eval(k.value) for k in given if k.arg and _is_number(k.value)}
     except (SyntaxError, ValueError, TypeError, AttributeError, RecursionError, MemoryError):
         return {}
 

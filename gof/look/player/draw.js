@@ -2,7 +2,7 @@
 
 // All of WebGL: Gaussians blended from the back to the front into a float picture, and that over what lies behind.
 
-const TEXELS = 7; // of a Gaussian, four numbers each; splat.vert.glsl says which
+const TEXELS = 7; // of a Gaussian, four numbers each; splat.glsl says which
 const ORDER_WIDTH = 1024; // of the texture that says in which order Gaussians are drawn
 
 /** What the shaders read of every Gaussian. */
@@ -39,7 +39,7 @@ class Drawer {
     this.gl = gl;
     this.canvas = canvas;
     this.exact = !!(gl.getExtension("EXT_color_buffer_float") || gl.getExtension("EXT_color_buffer_half_float"));
-    const program = (name) => this.program(shaders[`${name}.vert.glsl`], shaders[`${name}.frag.glsl`]);
+    const program = (name) => this.program(...shaders[`${name}.glsl`]);
     [this.splat, this.line, this.pane] = ["splat", "line", "pane"].map(program);
     this.perLine = Math.floor(Math.min(gl.getParameter(gl.MAX_TEXTURE_SIZE), 4096) / TEXELS);
     [this.clouds, this.most] = [[], 0];

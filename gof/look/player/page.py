@@ -33,7 +33,8 @@ from gof.look.player.quantise import Agreement, Packed, measure, pack, unpack
 PLAYER = Path(__file__).parent
 SCRIPTS = ("unpack.js", "view.js", "draw.js", "pictures.js", "player.js")
 LIVE = "live.js"  # of the page of `gof view` alone
-SHADERS = [f"{name}.{kind}.glsl" for name in ("splat", "line", "pane") for kind in ("vert", "frag")]
+SHADERS = ("splat.glsl", "line.glsl", "pane.glsl")  # each a shader of corners, then one of fragments
+FRAGMENTS = "//// the fragments\n"
 FILLED = 0.65  # of the picture's height, by the flame, where no dataset has a camera
 CHECKED = 3  # cameras, and times, at which quantisation is measured
 
@@ -200,7 +201,7 @@ def assemble(content: dict[str, Any], title: str) -> str:
     live = content.get("live", False)
     script = "\n".join(_text(name) for name in (*([LIVE] if live else []), *SCRIPTS))
     style = _text("style.css")
-    own = {"shaders": {name: _text(name) for name in SHADERS}, "sorter": _text("sort.js")}
+    own = {"shaders": {name: _text(name).split(FRAGMENTS) for name in SHADERS}, "sorter": _text("sort.js")}
     return template("player/page.html").render(
         title=title,
         live=live,

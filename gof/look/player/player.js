@@ -4,7 +4,7 @@
 
 const RADIANCE = 0, SPEED = 1, UNCERTAINTY = 2;
 const COLOURINGS = ["radiance", "speed", "uncertainty"];
-const TRUTH_OF = { [SPEED]: 3, [UNCERTAINTY]: 4 }; // how the true velocity colours the same Gaussians (splat.vert.glsl)
+const TRUTH_OF = { [SPEED]: 3, [UNCERTAINTY]: 4 }; // how the true velocity colours the same Gaussians (splat.glsl)
 const GUESSED_DEGREES = 20; // from the nearest camera on, a flame's shape is a guess
 const FADE_DEGREES = 4; // a plate is true for its camera only: it is gone this far from it
 const STILL_MS = 250; // after this the picture is drawn in full resolution

@@ -1,4 +1,4 @@
-"""Interlaced pictures: what moves is shown at two times, in lines in turn, that stand out like a comb's teeth."""
+"""Pictures that are no whole ones: interlaced, so that they show two times at once, or shown twice."""
 
 from __future__ import annotations
 
@@ -61,3 +61,40 @@ def _combs(before: np.ndarray, after: np.ndarray) -> tuple[int, int]:
             combed[k : k + len(runs)] |= runs
         in_combs += int(combed.sum())
     return int(moved.sum()), in_combs
+
+
+# ----------------------------------------------------------------
+# Frames that a copy shows twice: where a program filled a gap, or made another rate of a film.
+
+COMPARED_EVERY = 4  # rows and columns of which one is compared
+NEIGHBOURS = 5  # frames on either side
+REPEATED_SHARE = 0.1  # of the neighbours' median change; single frames of films of fire have 0.5 and more
+CHANGES = 0.2  # levels of 255 by which a film's pictures must change, mean, for a repeat to be one
+
+
+class Changes:
+    """Changes of a film's pictures from frame to frame, which it gathers as they are read."""
+
+    def __init__(self) -> None:
+        self._before: np.ndarray | None = None
+        self._changes: list[float] = []
+
+    def add(self, picture: np.ndarray) -> None:
+        """Take the next frame, (H, W, 3) uint8."""
+        now = picture[::COMPARED_EVERY, ::COMPARED_EVERY, 1].astype(np.int16)
+        change = np.inf
+        if self._before is not None and self._before.shape == now.shape:
+            change = float(np.abs(now - self._before).mean())
+        self._changes.append(change)
+        self._before = now
+
+    @property
+    def repeated(self) -> tuple[int, ...]:
+        """Numbers of the frames that show what the one before them shows, although the film moves around them."""
+        found = []
+        for k in range(1, len(self._changes)):
+            around = self._changes[max(k - NEIGHBOURS, 1) : k] + self._changes[k + 1 : k + 1 + NEIGHBOURS]
+            usual = float(np.median(around)) if around else 0.0
+            if np.isfinite(usual) and usual > CHANGES and self._changes[k] < REPEATED_SHARE * usual:
+                found.append(k)
+        return tuple(found)

@@ -53,3 +53,14 @@ void main() {
   float alpha = mix(0.05, 0.9, end) * exp(-0.5 * z * z);
   paint = vec4(texture(scheme, vec2(value * 255.0 / 256.0 + 0.5 / 256.0, 0.5)).rgb * alpha, alpha);
 }
+
+//// the fragments
+#version 300 es
+precision highp float;
+
+in vec4 paint;
+out vec4 light;
+
+void main() {
+  light = paint;
+}
