@@ -13,15 +13,14 @@ from gof.render import render_splats
 from gof.render.adam import Adam
 from tests.conftest import arc
 from tests.reconstruct.rising_flame import DT, column, reconstruct, write_flame
+from tests.sets_of_kernels import draw_with
 
 VOXEL = 0.1
 
 
 @pytest.fixture(params=["drjit", "native"], autouse=True)
 def kernels(request, monkeypatch):
-    if request.param == "native":
-        pytest.importorskip("numba")
-    monkeypatch.setenv("GOF_RENDER_KERNELS", request.param)
+    draw_with(request.param, monkeypatch)
     return request.param
 
 
