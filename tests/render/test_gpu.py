@@ -8,7 +8,7 @@ import drjit as dr
 import numpy as np
 import pytest
 
-from gof.render import bins, render_splats
+from gof.render import bins, blend, render_splats
 from gof.render.backend import UInt, whole_numbers
 from tests.render.drawing import gradients, image, loss_weights, splats, weighted_sum
 from tests.render.scenes import camera, gaussians
@@ -88,3 +88,23 @@ def test_lists_that_are_sorted_digit_by_digit_draw_the_same(monkeypatch):
         drawn.append({"color": color, **gradients(s)})
     for name, values in drawn[0].items():
         np.testing.assert_array_equal(drawn[1][name], values, err_msg=name)
+
+
+@pytest.mark.parametrize("share", [blend.Share(4, 1), blend.Share(1, 1)], ids=str)
+@pytest.mark.parametrize("absgrad", [False, True])
+def test_lanes_that_share_a_block_draw_the_same(share, absgrad, monkeypatch):
+    """As on a GPU: a lane has one pixel or four, not all sixteen of a block, and fetches ahead."""
+    monkeypatch.setenv("GOF_RENDER_KERNELS", "drjit")
+    view, g = camera(121, 90), gaussians(2000)  # no whole number of blocks
+    drawn = []
+    for part in (blend.WHOLE, share):
+        monkeypatch.setattr(blend, "SHARE", part)
+        s = splats(g, grad=True)
+        frame = render_splats(s, view, depth=True, absgrad=absgrad)
+        color = image(frame.color, view)
+        dr.backward(weighted_sum(frame, *loss_weights(view, 3)))
+        drawn.append({"color": color, **gradients(s)})
+        if absgrad:
+            drawn[-1]["absgrad"] = np.array(frame.mean2d_absgrad.numpy())
+    for name, values in drawn[0].items():
+        np.testing.assert_allclose(drawn[1][name], values, atol=2e-5 * np.abs(values).max(), err_msg=name)
