@@ -18,6 +18,7 @@ import time
 from collections.abc import Callable
 from dataclasses import dataclass
 from datetime import date
+from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 from unittest.mock import patch
@@ -53,7 +54,7 @@ class RenderGpu:
 def main(argv: list[str] | None = None) -> None:
     """Print the tables."""
     config = tyro.cli(RenderGpu, prog="python -m gof_benchmark.evidence.render_gpu", args=argv)
-    result = measure(QUICK if config.quick else SIZES, 3 if config.quick else 15)
+    result = measure(QUICK if config.quick else SIZES, 3 if config.quick else 11)
     print(report(result))
     if config.json:
         write_json(config.json, result)
@@ -62,25 +63,20 @@ def main(argv: list[str] | None = None) -> None:
 def measure(sizes: tuple[tuple[int, int, int], ...], repeats: int) -> dict[str, Any]:
     """Return the machine, the largest and RMS differences, and the times of every size."""
     ways = {name: way for name, way in WAYS.items() if way["GOF_RENDER_BACKEND"] == "llvm" or has_gpu()}
-    result: dict[str, Any] = {"machine": machine(), "differences": {}, "times": []}
+    result: dict[str, Any] = {"machine": machine(), "sizes": sizes, "differences": {}, "times": {}}
+    drawn = {}
     with tempfile.TemporaryDirectory() as folder:
-        drawn = {}
         for name, way in ways.items():
+            path = Path(folder) / f"{len(drawn)}.npz"
             with patch.dict(os.environ, way):
-                path = Path(folder) / f"{len(drawn)}.npz"
-                result["machine"] |= child.call(draw_once, *sizes[0], str(path))
-                drawn[name] = dict(np.load(path))
-        first, *others = drawn
-        for name in others:
-            result["differences"][name] = differences(drawn[name], drawn[first])
-    for size in sizes:
-        times = {}
-        for name, way in ways.items():
-            with patch.dict(os.environ, way):
-                times[name] = child.call(time_steps, *size, repeats)
-        if has_gpu() and has_gsplat():
-            times["gsplat, GPU"] = child.call(time_gsplat, *size, repeats)
-        result["times"].append({"gaussians": size[0], "width": size[1], "height": size[2], "ms": times})
+                result["times"][name] = child.call(draw_and_time, sizes, repeats, str(path))
+            drawn[name] = dict(np.load(path))
+    first, *others = drawn
+    for name in others:
+        result["differences"][name] = differences(drawn[name], drawn[first])
+    if has_gpu() and has_gsplat():
+        result["times"]["gsplat, GPU"] = child.call(time_gsplat, sizes, repeats)
+        result["machine"]["gsplat"] = version("gsplat")
     return result
 
 
@@ -103,7 +99,7 @@ def has_gsplat() -> bool:
 
 def machine() -> dict[str, Any]:
     """Return what the figures hold for."""
-    about = {"date": date.today().isoformat(), "cpu": cpu_name(), "cores": os.cpu_count()}
+    about = {"date": date.today().isoformat(), "cpu": cpu_name(), "cores": os.cpu_count(), "drjit": version("drjit")}
     asked = ["nvidia-smi", "--query-gpu=name,driver_version", "--format=csv,noheader"]
     try:
         name, driver = subprocess.run(asked, capture_output=True, text=True, check=True).stdout.split(",")[:2]
@@ -113,12 +109,18 @@ def machine() -> dict[str, Any]:
     return about
 
 
-def draw_once(n: int, width: int, height: int, out: str) -> dict[str, Any]:
-    """Write planes and gradients of a random weighting of them to a file, and return what drew them."""
+def draw_and_time(sizes: list[tuple[int, int, int]], repeats: int, out: str) -> list[dict[str, Any]]:
+    """Draw the first size to a file, see `draw_once`; return the times of all, see `time_steps`."""
+    draw_once(*sizes[0], out)
+    return [time_steps(*size, repeats) for size in sizes]
+
+
+def draw_once(n: int, width: int, height: int, out: str) -> None:
+    """Write planes, and gradients of a random weighting of them, to a file."""
     import drjit as dr
 
     from gof.render import Splats, render_splats
-    from gof.render.backend import BACKEND, Array3f, Array4f, floats
+    from gof.render.backend import Array3f, Array4f, floats
     from gof.render.scene import columns
 
     g, view, rng = flame(n), camera(width, height), np.random.default_rng(3)
@@ -139,10 +141,6 @@ def draw_once(n: int, width: int, height: int, out: str) -> dict[str, Any]:
     dr.backward(sum(dr.sum(p * floats(w)) for p, w in zip(planes.values(), weights, strict=True)))
     kept |= {f"d/d {name}": np.array(dr.grad(leaf).numpy()) for name, leaf in leaves.items()}
     np.savez(out, **kept)
-    about = {"drjit": dr.__version__}
-    if BACKEND == "cuda":
-        about["pairs"] = frame.intersections
-    return about
 
 
 def differences(ours: dict[str, np.ndarray], theirs: dict[str, np.ndarray]) -> dict[str, dict[str, float]]:
@@ -157,7 +155,7 @@ def differences(ours: dict[str, np.ndarray], theirs: dict[str, np.ndarray]) -> d
 
 
 def median_ms(function: Callable[[], object], repeats: int) -> float:
-    """Return the median by the clock of a function that leaves nothing running; two calls before it compile."""
+    """Return the median by the clock of a function that leaves nothing running; three calls before it compile."""
     spent = []
     for repeat in range(repeats + 3):
         start = time.perf_counter()
@@ -168,7 +166,7 @@ def median_ms(function: Callable[[], object], repeats: int) -> float:
 
 
 def time_steps(n: int, width: int, height: int, repeats: int) -> dict[str, Any]:
-    """Return ms of drawing, of drawing and differentiating, and of a training step, in this process."""
+    """Return the ms of drawing, of drawing and differentiating, and of a training step."""
     import drjit as dr
 
     from gof.render.backend import BACKEND
@@ -189,8 +187,12 @@ def time_steps(n: int, width: int, height: int, repeats: int) -> dict[str, Any]:
     return out
 
 
-def time_gsplat(n: int, width: int, height: int, repeats: int) -> dict[str, Any]:
-    """Return ms of gsplat's rasterizer on the same Gaussians, in this process."""
+def time_gsplat(sizes: list[tuple[int, int, int]], repeats: int) -> list[dict[str, Any]]:
+    """Return the same of gsplat's rasterizer, without a training step."""
+    return [_time_gsplat(*size, repeats) for size in sizes]
+
+
+def _time_gsplat(n: int, width: int, height: int, repeats: int) -> dict[str, Any]:
     import torch
     from gsplat import rasterization
 
@@ -226,7 +228,8 @@ def report(result: dict[str, Any]) -> str:
     """Return the tables as text."""
     about = result["machine"]
     lines = [
-        f"{about['date']}: {about['gpu']}, driver {about.get('driver', '-')}, Dr.Jit {about['drjit']}; "
+        f"{about['date']}: {about['gpu']}, driver {about.get('driver', '-')}, Dr.Jit {about['drjit']}, "
+        f"gsplat {about.get('gsplat', '-')}; "
         f"{about['cpu']}, {about['cores']} cores",
         "",
         "Differences from the native kernels over the RMS of the plane or gradient: largest (RMS)",
@@ -238,9 +241,9 @@ def report(result: dict[str, Any]) -> str:
         "| Gaussians, picture | drawn by | forward ms | and backward ms | step ms | steps/s | busy ms | launches |",
     ]
     lines.append("|---|---|---:|---:|---:|---:|---:|---:|")
-    for row in result["times"]:
-        for way, ms in row["ms"].items():
-            size = f"{row['gaussians']}, {row['width']}x{row['height']}"
+    for k, (n, width, height) in enumerate(result["sizes"]):
+        for way, ms in ((name, found[k]) for name, found in result["times"].items()):
+            size = f"{n}, {width}x{height}"
             step = (f"{ms[STEP]:.1f}", f"{1e3 / ms[STEP]:.0f}") if STEP in ms else ("", "")
             busy = (f"{ms['busy']:.2f}", str(ms["launches"])) if "busy" in ms else ("", "")
             cells = size, way, f"{ms[FORWARD]:.2f}", f"{ms[BOTH]:.2f}", *step, *busy

@@ -2,7 +2,7 @@
 
 The 16 pixels of a block are unrolled in Python, so one fetched Gaussian serves 16 pixels and one gradient scatter
 collects from 16 pixels. See docs/renderer_inside.md for the picture. A GPU has more lanes than a picture has blocks,
-and waits for the longest list: there a lane draws one pixel (`SHARE`) and fetches the next Gaussian meanwhile.
+and waits for the longest list: there a lane draws four pixels (`SHARE`) and fetches the next Gaussian meanwhile.
 """
 
 from __future__ import annotations
@@ -20,8 +20,9 @@ MIN_TRANSMITTANCE = 1e-4  # a pixel whose transmittance would fall below this st
 LN_2 = 0.6931471805599453
 BLOCK_LANES = 256  # blocks that a thread takes at a time
 GEOMETRY = 6  # mean_x, mean_y, a, b, c, log2_opacity
-# Many lanes add to one Gaussian: on a CPU each thread to a copy of its own, on a GPU those of a warp together first.
-ADDED = dr.ReduceMode.Local if BACKEND == "cuda" else dr.ReduceMode.Expand
+# Many lanes add to one Gaussian: on a CPU each thread to a copy of its own. On a GPU one by one, four floats at a time;
+# Dr.Jit takes them singly there where it is asked for copies.
+ADDED = dr.ReduceMode.Direct if BACKEND == "cuda" else dr.ReduceMode.Expand
 
 
 @dataclass(frozen=True)
@@ -43,7 +44,7 @@ class Share:
 
 
 WHOLE = Share(BLOCK, BLOCK)
-SHARE = Share(1, 1) if BACKEND == "cuda" else WHOLE
+SHARE = Share(4, 1) if BACKEND == "cuda" else WHOLE
 
 
 class Trace:
