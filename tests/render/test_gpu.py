@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from gof.render import bins, blend, render_splats
-from gof.render.backend import UInt, whole_numbers
+from gof.render.backend import BACKEND, UInt, whole_numbers
 from tests.render.drawing import gradients, image, loss_weights, splats, weighted_sum
 from tests.render.scenes import camera, gaussians
 
@@ -107,4 +107,5 @@ def test_lanes_that_share_a_block_draw_the_same(share, absgrad, monkeypatch):
         if absgrad:
             drawn[-1]["absgrad"] = np.array(frame.mean2d_absgrad.numpy())
     for name, values in drawn[0].items():
-        np.testing.assert_allclose(drawn[1][name], values, atol=2e-5 * np.abs(values).max(), err_msg=name)
+        atol = (2e-5 if BACKEND == "llvm" else 1e-3) * np.abs(values).max()  # a GPU rounds each kernel its own way
+        np.testing.assert_allclose(drawn[1][name], values, atol=atol, err_msg=name)
