@@ -88,6 +88,13 @@ def one_thread():
     dr.set_thread_count(threads)
 
 
+def test_rows_of_several_views_are_taken_once_in_order():
+    first, second = np.array([0, 1, 7], np.uint32), np.array([1, 2, 9], np.uint32)
+    both = optimize.united([first, second], 10)
+    np.testing.assert_array_equal(both, [0, 1, 2, 7, 9])
+    assert both.dtype == np.uint32 and optimize.united([first], 10) is first
+
+
 @pytest.mark.skipif(BACKEND == "cuda", reason="a GPU adds gradients in another order each time, and Adam magnifies it")
 @pytest.mark.parametrize("scene", ["plates", "gaussians"])
 def test_a_reconstruction_is_the_same_as_with_all_in_every_step(scene, kernels, one_thread, tmp_path, monkeypatch):
