@@ -151,8 +151,9 @@ class Training:
         size = blend._capacity(self.n) * blend.stride(9)
         image = [dr.opaque(Float, 0.5, self.camera.width * self.camera.height) for _ in range(3)]
         grads = [dr.opaque(Float, 1e-3, len(planes[0])) for _ in range(4)]
-        forward = records, band.lists, planes, 3, shapes.columns, blend.MAX_ALPHA
-        backward = records, band.lists, planes, grads, 3, shapes.columns, blend.MAX_ALPHA, False, size
+        lists, share = blend.shared(band.lists, blend.SHARE), blend.SHARE
+        forward = records, lists, planes, 3, shapes.columns, blend.MAX_ALPHA, share
+        backward = records, lists, planes, grads, 3, shapes.columns, blend.MAX_ALPHA, False, share, size
 
         def run(function):
             def timed():

@@ -172,7 +172,7 @@ def check_kernels() -> Outcome:
 def check_cuda() -> Outcome:
     done = child("-c", "import drjit as dr; print(dr.has_backend(dr.JitBackend.CUDA))")
     if done.stdout.strip() == "True":
-        return "ok", "an NVIDIA GPU and its driver are here"
+        return "ok", "an NVIDIA GPU and its driver are here; with GOF_RENDER_BACKEND=cuda the renderer uses it"
     return (
         "missing",
         "no CUDA device; everything runs on the CPU. For a GPU: NVIDIA's driver, and a CUDA build of torch",

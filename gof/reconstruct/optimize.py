@@ -225,7 +225,7 @@ class Flame:
         if unseen is not None:
             views.append((unseen.time_s - self.start_s, unseen.camera))
         rows = [alight(self.optimizer, self.voxel_size, time_s, camera) for time_s, camera in views]
-        return self.optimizer.only(per_gaussian(self.optimizer), np.unique(np.concatenate(rows)))
+        return self.optimizer.only(per_gaussian(self.optimizer), united(rows, dr.width(self.optimizer["t_mu"])))
 
     def drawn(self, shown: Raw, f: int, c: int) -> Drawn:
         """Camera c's view of frame f; differentiable."""
@@ -278,6 +278,16 @@ class Flame:
         """See `Surroundings.result`."""
         gaussians = from_raw(self.optimizer, self.voxel_size, self.start_s)
         return self.surroundings.result(replace(gaussians, **self._kept), self.optimizer)
+
+
+def united(sets: list[np.ndarray], count: int) -> np.ndarray:
+    """Return the rows below `count` that are in any of the sets, uint32, ascending, each once."""
+    if len(sets) == 1:
+        return sets[0]
+    found = np.zeros(count, bool)  # np.unique takes milliseconds, a third of a step
+    for rows in sets:
+        found[rows] = True
+    return np.flatnonzero(found).astype(np.uint32)
 
 
 class TrainingPictures:

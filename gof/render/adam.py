@@ -10,7 +10,7 @@ import drjit as dr
 import numpy as np
 from drjit import opt
 
-from gof.render.backend import Float, UInt, floats, kernels
+from gof.render.backend import Float, UInt, floats, kernels, whole_numbers
 from gof.render.blend import as_plane
 
 
@@ -56,8 +56,7 @@ class Adam(opt.Adam):
         if not self.mask_updates:
             raise ValueError("only: rows that are left out must not change, which needs mask_updates")
         if kernels().name != "native":
-            index = dr.empty(UInt, len(rows))  # in Dr.Jit's own memory, see `floats`
-            index.numpy()[:] = rows
+            index = whole_numbers(rows)
             return {name: _gathered(self[name], index) for name in names}
         from gof.render.native.adam import Rows, take
 

@@ -204,10 +204,18 @@ def floats(array) -> Float:
 
     Dr.Jit would share numpy's memory, which may be unaligned, and compiles the alignment into every kernel.
     """
-    flat = np.ascontiguousarray(array, np.float32).reshape(-1)
-    if BACKEND == "cuda" or flat.size == 0:
-        return Float(flat)
-    out = dr.empty(Float, flat.size)
+    return _copied(np.ascontiguousarray(array, np.float32).reshape(-1), Float)
+
+
+def whole_numbers(array) -> UInt:
+    """The same of numbers from 0 on, as an array of uint32."""
+    return _copied(np.ascontiguousarray(array, np.uint32).reshape(-1), UInt)
+
+
+def _copied(flat: np.ndarray, kind):
+    if BACKEND == "cuda" or flat.size == 0:  # on a GPU numpy sees a copy of an array: what is written there is lost
+        return kind(flat)
+    out = dr.empty(kind, flat.size)
     out.numpy()[:] = flat
     return out
 

@@ -17,7 +17,7 @@ from dataclasses import dataclass
 import drjit as dr
 import numpy as np
 
-from gof.render.backend import Array2u, Array4f, Float, Int, UInt, pack, pack_words
+from gof.render.backend import BACKEND, Array2u, Array4f, Float, Int, UInt, pack, pack_words
 from gof.render.project import LOG2_E, Projected
 
 BLOCK = 4  # pixels along one side of a block
@@ -25,6 +25,9 @@ LOG2_255 = 7.994353436858858  # alpha >= 1/255 is drawn
 MARGIN = 1e-3  # in log2 units and pixels: the test keeps pairs that rounding might move
 GROUP = 2048  # blocks that are drawn one after another by length, before the next such group
 PAIR_BUDGET = 1 << 24  # pairs binned at a time; a pair takes about 40 bytes while binning
+# Bits of a key that are sorted at a time. On a GPU Dr.Jit's counting sort keeps the order of equal keys only while
+# each warp has counters of its own in shared memory; with more keys it takes atomics, and lists lose their depth order.
+DIGIT_BITS = 8 if BACKEND == "cuda" else 32
 
 
 @dataclass
@@ -190,6 +193,20 @@ def expand(counts: UInt) -> tuple[UInt, UInt, UInt, UInt]:
     return item, dr.arange(UInt, total) - dr.gather(UInt, starts, item), starts, ends
 
 
+def stable_order(keys: UInt, count: int) -> UInt:
+    """Return the permutation that sorts keys below `count`; equal keys keep their order."""
+    bits = (count - 1).bit_length()
+    passes = max(1, -(-bits // DIGIT_BITS))
+    digit_bits = -(-bits // passes)
+    order = None
+    for k in range(passes):
+        sorted_so_far = keys if order is None else dr.gather(UInt, keys, order)
+        digit = sorted_so_far if passes == 1 else (sorted_so_far >> (k * digit_bits)) & ((1 << digit_bits) - 1)
+        step = dr.detail.block_mkperm(digit, len(keys), 1 << digit_bits)
+        order = step if order is None else dr.gather(UInt, order, step)
+    return order
+
+
 def _span(lo: Float, hi: Float, limit: int) -> tuple[Int, Int]:
     """Blocks [first, end) with a pixel centre in [lo, hi] along one axis, clipped to the image."""
     far = float(BLOCK * limit + 8)
@@ -207,7 +224,7 @@ def _sort(
     """Order (block, Gaussian) pairs by block; pairs of one block keep their order."""
     n_blocks, n = f.columns * (end_row - first_row), len(block)
     i, last = dr.arange(UInt, n), dr.opaque(UInt, n - 1)
-    slot = dr.detail.block_mkperm(block, n, 1 << (n_blocks - 1).bit_length())
+    slot = stable_order(block, n_blocks)
     block, gaussian = dr.gather(Array2u, pairs, slot)
     dr.eval(block, gaussian)
 
@@ -220,7 +237,7 @@ def _sort(
     # Lanes of equal work side by side, within groups of rows that share Gaussians in the cache.
     group = dr.arange(UInt, n_blocks) // GROUP
     key = group * 256 + (255 - dr.minimum((end - start) >> 2, 255))
-    order = dr.detail.block_mkperm(key, n_blocks, 1 << (256 * -(-n_blocks // GROUP) - 1).bit_length())
+    order = stable_order(key, 256 * -(-n_blocks // GROUP))
     dr.eval(start, end)
     return Bins(n, Lists(gaussian, start, end, order, dr.opaque(UInt, first_row)), slot, segment, segment_end)
 

@@ -2,11 +2,11 @@
 
 import pytest
 
+from tests.sets_of_kernels import draw_with
+
 
 @pytest.fixture(params=["drjit", "native"])
 def kernels(request, monkeypatch) -> str:
     """Draw with these."""
-    if request.param == "native":
-        pytest.importorskip("numba")
-    monkeypatch.setenv("GOF_RENDER_KERNELS", request.param)
+    draw_with(request.param, monkeypatch)
     return request.param

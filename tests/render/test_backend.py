@@ -14,6 +14,8 @@ from gof.core.errors import GofError
 from gof.render import backend
 from gof.render.backend import Float, floats, shifted
 
+of_cpu = pytest.mark.skipif(backend.BACKEND == "cuda", reason="of the CPU's memory and kernels")
+
 
 def test_a_shifted_array_reads_the_same_memory_and_keeps_it_alive():
     base = floats(np.arange(1000))
@@ -25,6 +27,7 @@ def test_a_shifted_array_reads_the_same_memory_and_keeps_it_alive():
     np.testing.assert_array_equal((view + 0).numpy(), np.arange(100, 150))
 
 
+@of_cpu
 def test_the_owner_is_let_go_on_the_calling_thread():
     """Dr.Jit releases shared memory on a thread of its own; a Dr.Jit array must not die there (deadlock)."""
     backend._released.clear()
@@ -57,6 +60,7 @@ def test_where_native_kernels_cannot_run_it_is_said_and_the_others_draw(monkeypa
         backend.kernels()
 
 
+@of_cpu
 def test_what_stands_in_the_way_of_native_kernels(monkeypatch):
     numba = pytest.importorskip("numba")
     find = backend._obstacle_to_native.__wrapped__
@@ -84,6 +88,7 @@ def draw(**variables) -> tuple[float, str]:
     return float(done.stdout), done.stderr
 
 
+@of_cpu
 @pytest.mark.long
 def test_compiling_is_announced_once_and_kept(tmp_path):
     pytest.importorskip("numba")
@@ -93,6 +98,7 @@ def test_compiling_is_announced_once_and_kept(tmp_path):
     assert draw(XDG_CACHE_HOME=str(tmp_path)) == (first, "")
 
 
+@of_cpu
 @pytest.mark.long
 def test_without_a_folder_to_keep_them_kernels_are_compiled_each_time(tmp_path):
     pytest.importorskip("numba")
@@ -145,6 +151,7 @@ print(most, float(dr.sum(frame.color[0])[0]) > 0)
 """
 
 
+@of_cpu
 def test_threads_may_become_more_between_steps():
     """What Dr.Jit records has room for the sums of so many threads; replayed with more, it once wrote beyond it."""
     environment = os.environ | {"GOF_RENDER_KERNELS": "drjit", "OMP_NUM_THREADS": ""}
