@@ -145,6 +145,7 @@ NOT_AT_TOY_SIZE = {
     "ordinary_footage": "needs ffmpeg and the paper's clips",
     "real_depth": "stereo has nothing to match in toy pictures; checks/test_real_footage.py tests its measures",
     "render_agreement": "has one size; Mitsuba draws it in minutes",
+    "render_gpu": "needs an NVIDIA GPU",
     "render_opensplat": "compiles a library that users bring",
     "rise_speed": "so few pixels and frames have no bright structures that climb",
     "share_player": "needs Chromium",
