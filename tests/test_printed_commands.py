@@ -44,6 +44,7 @@ NOT_RUN = {  # words that the command begins with: why
     "gof ingest a.mp4": OTHERS,
     "gof completion": "writes into the home folder; tests/test_command_line.py runs it",
     "gof demo": "tests/test_demo.py walks this way, with a smaller fire",
+    "gof generate ring.json": "tests/blender/test_same_fire.py takes over a fire",
     "gof generate demo --estimate": "measures the machine for minutes",
 }
 BEFORE = {  # page: what its reader has done before

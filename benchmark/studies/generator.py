@@ -15,7 +15,7 @@ from pathlib import Path
 import numpy as np
 
 from gof.commands.everywhere import write_figures
-from gof.commands.read import Seconds, read_options
+from gof.commands.read import read_options
 from gof.core.fields import VelocitySequence
 from gof.core.files import atomic_path, read_json, write_json
 from gof.core.zarr_array import ZarrArray
@@ -25,6 +25,8 @@ from gof_benchmark.scenes import claim, load_scene
 from gof_blender.pure.layout import Layout
 from gof_blender.pure.presets import PRESETS
 from gof_blender.pure.spec import SceneSpec
+
+WARM_UP_S = 0.6  # simulated before the first frame
 
 
 @dataclass
@@ -45,8 +47,6 @@ class GeneratorStudy:
     """Paths per pixel; the last one is the reference."""
     frames: int = 12
     """Frames compared."""
-    warm_up_s: Seconds = 0.6
-    """Simulated before the first of them."""
 
 
 @dataclass(frozen=True)
@@ -102,7 +102,7 @@ def main(argv: list[str]) -> int:
     """`gof study generate`; see --help."""
     config = read_options(GeneratorStudy, "study generate", argv)
     spec = load_scene(config.scene)
-    warm_up = round(config.warm_up_s * spec.clip.fps)
+    warm_up = round(WARM_UP_S * spec.clip.fps)
     spec = replace(spec, clip=replace(spec.clip, frames=config.frames, warm_up_frames=warm_up))
     figures = Figures(study_resolution(spec, config), study_samples(spec, config), study_storage(config))
     write_json(config.out / "study.json", asdict(figures))

@@ -34,7 +34,7 @@ from pathlib import Path
 from ..core.checked_json import SpecError
 from ..core.costs import peak_memory_mb
 from ..core.description import DatasetDescription, held_out
-from ..core.files import write_json
+from ..core.files import read_json, write_json
 from ..pure import spec as scene_spec
 from ..pure.effects import encodes, shows_board
 from ..pure.layout import Layout
@@ -59,7 +59,8 @@ def bake(spec: SceneSpec, layout: Layout, progress: Reporter) -> None:
         _open_blend(layout, during_bake=True)
         build.replace_surroundings(spec)
         _save_blend(layout)
-        os.replace(layout.lent, layout.bake_marker)
+        write_json(layout.bake_marker, read_json(layout.lent))
+        layout.lent.unlink()
         return progress(total, total)
     shutil.rmtree(layout.bake, ignore_errors=True)
     build.scene(spec)

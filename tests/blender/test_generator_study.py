@@ -16,7 +16,7 @@ def test_generator_study(tmp_path):
     (tmp_path / "toy.json").write_text(json.dumps(spec))
     out = tmp_path / "out"
     command = ["study", "generate", "--scene", str(tmp_path / "toy.json"), "--out", str(out)]
-    command += ["--resolutions", "12", "16", "24", "--samples", "1", "16", "--frames", "2", "--warm-up-s", "0.3"]
+    command += ["--resolutions", "12", "16", "24", "--samples", "1", "16", "--frames", "2"]
     assert main(command) == 0
 
     figures = json.loads((out / "study.json").read_text())

@@ -102,6 +102,8 @@ def test_openusds_own_library_reads_it(tmp_path):
     pytest.importorskip("pxr", reason="OpenUSD is not installed (pip install usd-core)")
     from pxr import Usd, UsdGeom, UsdValidation, UsdVol
 
+    if not hasattr(UsdVol, "ParticleField3DGaussianSplat"):
+        pytest.skip("this OpenUSD is older than 26.03, which has splats: Blender's own, where bpy was imported before")
     for name in ("a.usda", "a.usdc"):
         g, path = written(tmp_path, name)
         stage = Usd.Stage.Open(str(path))
