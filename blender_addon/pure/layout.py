@@ -155,11 +155,12 @@ class Layout:
     def take_fire_of(self, other: Layout, spec: SceneSpec) -> None:
         """Take over the finished bake of another dataset, so that this spec costs pictures only; call after `claim`.
 
-        The other dataset may be removed afterwards. Does nothing where this dataset is baked.
+        The other dataset may be removed afterwards. Does nothing where this dataset is baked, or finished and its
+        work files deleted.
 
         Raises SpecError: it has no finished bake, or another fire (what differs is named).
         """
-        if self.bake_marker.is_file():
+        if self.bake_marker.is_file() or self.description.is_file():
             return
         if not (other.bake_marker.is_file() and other.bake.is_dir() and other.blend.is_file()):
             raise SpecError(f"{other.root}: holds no finished bake of a fire; it is in the dataset's .cache/bake")

@@ -36,7 +36,7 @@ def blunt(gaussians: TransientGaussians, eye: np.ndarray) -> TransientGaussians:
     axes = rotation_matrices(gaussians.rotation)
     covariance = np.einsum("nij,nj,nkj->nik", axes, gaussians.scale.astype(np.float64) ** 2, axes)
     along = np.einsum("ni,nij,nj->n", ray, covariance, ray)
-    across = 0.5 * (np.trace(covariance, axis1=1, axis2=2) - along)
+    across = np.maximum(0.5 * (np.trace(covariance, axis1=1, axis2=2) - along), 0)  # rounding may take it below
     rows = np.flatnonzero(along > LONGEST**2 * across)
     shorter = np.sqrt(LONGEST**2 * across[rows] / along[rows])
     cut = np.eye(3) + (shorter - 1)[:, None, None] * ray[rows, :, None] * ray[rows, None]

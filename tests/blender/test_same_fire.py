@@ -92,6 +92,10 @@ def test_a_fire_of_another_dataset_seen_anew_is_the_dataset_made_from_nothing(tm
     assert len(pictures) >= 3 * 3 * 2
     for path in pictures:
         assert (tmp_path / "direct" / path).read_bytes() == (layout.root / path).read_bytes(), path
+    shutil.rmtree(layout.hidden)  # which a user may delete
+    scene = layout.blend.read_bytes()
+    layout.take_fire_of(Layout(tmp_path / "direct"), seen_anew)
+    assert layout.blend.read_bytes() == scene and not layout.bake.exists(), "a finished dataset stays as it is"
     lent, direct = (VelocitySequence.open(tmp_path / name / "velocity.zarr") for name in ("lent", "direct"))
     assert np.abs(direct.cells(1)).max() > 0
     for frame in range(3):

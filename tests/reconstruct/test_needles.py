@@ -80,3 +80,13 @@ def test_cameras_far_apart_tell_how_long_a_gaussian_is():
     near = [look_at(f"cam_{k}", [3 * np.sin(a), -3 * np.cos(a), 1.0], flame) for k, a in enumerate((-0.16, 0, 0.16))]
     assert is_one_sided(near, flame) and is_one_sided(near[:1], flame)
     assert not is_one_sided(arc(3), flame)
+
+
+def test_needles_of_hardly_any_width_in_all_directions():
+    """The width across is the difference of two nearly equal numbers, below 0 for some by rounding."""
+    rng = np.random.default_rng(0)
+    for place in rng.normal(size=(50, 3)):
+        ray = (place - EYE) / np.linalg.norm(place - EYE)
+        half = np.array([1 + ray[0], 0, -ray[2], ray[1]])  # turns x onto the ray
+        cut = blunt(gaussian(place, (0.1, 1e-12, 1e-12), half / np.linalg.norm(half)), EYE)
+        assert np.isfinite(cut.scale).all() and np.isfinite(cut.rotation).all() and (cut.scale > 0).all()
