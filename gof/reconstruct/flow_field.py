@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from gof.host.threads import map_on_cores
 from gof.reconstruct.fusion import fuse_frame
 from gof.reconstruct.methods import Method
 from gof.reconstruct.observation import Observation
@@ -76,20 +77,17 @@ def seen_flow_field(
         observation.cameras, observation.mask, longest_side, blocked=observation.blocked, vetoes=method.vetoes
     )
     light = frame_light(observation)
-    frames = []
-    for f, time_s in enumerate(observation.time_s):
-        flow = observation.flow[f]
+
+    def see(f: int) -> FrameField:
         mask = observation.mask[f]
         emission = tomography(voxels, observation.intensity[f], mask, method.round_flame)
-        velocity, known = fuse_frame(voxels, flow, mask, emission, method.fusion, method.smooth_voxels)
+        velocity, known = fuse_frame(voxels, observation.flow[f], mask, emission, method.fusion, method.smooth_voxels)
         unit = float(light[f] / max(emission.sum(), 1.0))
         unsure = np.full(len(emission), np.inf)
-        frames.append(
-            FrameField(float(time_s), emission, unit, velocity, velocity, unsure, known, observation.image[f])
-        )
-        if progress:
-            progress(f + 1, len(observation.frames))
-    return FlowField(voxels, tuple(frames))
+        time_s = float(observation.time_s[f])
+        return FrameField(time_s, emission, unit, velocity, velocity, unsure, known, observation.image[f])
+
+    return FlowField(voxels, tuple(map_on_cores(see, range(len(observation.frames)), progress)))
 
 
 def frame_light(observation: Observation) -> np.ndarray:

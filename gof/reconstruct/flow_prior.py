@@ -26,8 +26,9 @@ from zipfile import BadZipFile
 import numpy as np
 
 from gof.core.errors import DataFormatError, GofError
+from gof.host.threads import map_on_cores
 from gof.reconstruct.flame_axis import CrossSections, FlameAxis
-from gof.reconstruct.flow_field import FlowField
+from gof.reconstruct.flow_field import FlowField, FrameField
 from gof.reconstruct.log_light import LogLight, slope
 from gof.reconstruct.pace import Pace, PaceClues
 from gof.reconstruct.several_flames import alone, several_flames
@@ -148,14 +149,16 @@ class FlowPrior:
         flames = {k: describer for k, describer in apart.items() if describer is not None}
         clues = [PaceClues.of(describer.axis, describer.log_light) for describer in flames.values()]
         paces = self.pace.side_by_side(clues, metres)
-        frames = []
-        for f, frame in enumerate(field.frames):  # all features of a clip at once would take gigabytes
+
+        def correct_frame(f: int) -> FrameField:  # all features of a clip at once would take gigabytes
+            frame = field.frames[f]
             velocity, sd = np.zeros(frame.velocity.shape), np.full(len(flame), np.inf)
             for (k, describer), pace in zip(flames.items(), paces, strict=True):
                 gas, uncertainty = self._gas(describer, pace, f)
                 velocity[flame == k], sd[flame == k] = gas[flame == k], uncertainty[flame == k]
-            frames.append(replace(frame, velocity=velocity, velocity_sd=sd))
-        return replace(field, frames=tuple(frames))
+            return replace(frame, velocity=velocity, velocity_sd=sd)
+
+        return replace(field, frames=tuple(map_on_cores(correct_frame, range(len(field.frames)))))
 
     def _gas(self, describer: FlameDescriber, pace: float, f: int) -> tuple[np.ndarray, np.ndarray]:
         """Velocity (V, 3) of the gas in frame f and its standard deviation (V,), m/s."""

@@ -19,7 +19,8 @@ from gof.core.cameras import Camera
 MethodName = Literal["gof", "paper"]
 SceneName = Literal["plates", "gaussians"]  # what the flame is drawn in, see `gof.reconstruct.surroundings`
 
-LAST_SHARE = 0.1  # of a rate, at the last step of a run that is longer than `held`
+LAST_SHARE = 0.1  # of a rate, at the last step
+LONGEST_HELD = 2500  # steps; what `held` says of longer runs
 FRAME_MS = 2.5  # of the paper's captures, at 400 Hz; the authors' rates are per ms, ours per frame time
 SH_COLOR = 0.28209479  # display value of a unit of 3DGS' constant colour coefficient
 
@@ -54,8 +55,10 @@ class Rates:
         color, plate: display values; a plate's is 0 where plates do not change.
         t_mu, log_t_sigma, scale, rotation, opacity: of the raw parameters (`gof.reconstruct.parameters`).
         beta_2: how slowly Adam forgets the size of gradients.
-        held: steps after which a Gaussian's other rates fall, too, exponentially to `LAST_SHARE` at the last step; at
-            full rates a long run learns the training frames ever better and the ones between them worse. None: never.
+        held: the share of a run after which a Gaussian's other rates fall, too, exponentially to `LAST_SHARE` at the
+            last step, at most `LONGEST_HELD` steps: Gaussians that are pushed to and fro by one picture after the other
+            come to rest, and a long run learns the training frames ever better and the ones between them worse. None:
+            never.
     """
 
     lengths: Literal["voxels", "extent"]
@@ -69,7 +72,7 @@ class Rates:
     color: float
     plate: float
     beta_2: float
-    held: int | None
+    held: float | None
 
 
 @dataclass(frozen=True)
@@ -94,7 +97,8 @@ class Method:
         density_control: Gaussians are cloned, split and pruned along the way (`density`).
         color_of_light: the brightest channel of a flame Gaussian is 1 (`parameters`); else colours are free.
         other_plates: weight of the flame over plates that were not filmed (`optimize.over_plain`); 0 = none.
-        unseen: weight of views from where no camera stood, as tomography has them (`unseen`); 0 = none.
+        unseen: weight of views from where no camera stood, as tomography has them (`unseen`), in every second step;
+            0 = none.
     """
 
     scene: SceneName
@@ -133,21 +137,21 @@ OURS = Method(
     density_control=False,  # tried, not kept
     color_of_light=True,
     other_plates=0.3,
-    unseen=0.5,
+    unseen=1.0,
     seeding=Seeding(by_emission=True, short_lives=True, opacity=0.1, scale=0.7, seen_color=True),
     rates=Rates(
         lengths="voxels",
-        position=(0.03, 0.003),
-        velocity=0.004,
-        t_mu=0.01,
-        log_t_sigma=0.005,
-        scale=0.02,
-        rotation=0.005,
-        opacity=0.03,
-        color=0.01,
-        plate=0.001,
+        position=(0.075, 0.0075),
+        velocity=0.01,
+        t_mu=0.025,
+        log_t_sigma=0.0125,
+        scale=0.12,
+        rotation=0.03,
+        opacity=0.075,
+        color=0.025,
+        plate=0.0025,
         beta_2=0.99,
-        held=2500,
+        held=0.5,
     ),
 )
 

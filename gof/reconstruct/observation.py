@@ -17,6 +17,7 @@ from gof.core.colour import srgb_to_linear
 from gof.core.errors import DataFormatError
 from gof.dataset import Dataset
 from gof.footage.flame_mask import flame_mask
+from gof.host.threads import map_on_cores
 from gof.reconstruct.lit_plate import faint_flame, lit_plate
 from gof.reconstruct.methods import OURS, Method
 from gof.reconstruct.occluders import blocked_views
@@ -230,7 +231,7 @@ def observe(
     frames = np.array(sorted(dataset.train_frames))
     if not len(frames):
         raise DataFormatError(f"{dataset.path}: splits.train is empty; nothing to reconstruct from")
-    views = [_view(dataset, c, frames, method) for c in range(len(dataset.cameras))]
+    views = map_on_cores(lambda c: _view(dataset, c, frames, method), range(len(dataset.cameras)))
     if not any(view.mask.any() for view in views):
         raise DataFormatError(
             f"{dataset.path}: no flame found in any training frame (nothing rises above the static plates)",

@@ -39,7 +39,7 @@ class Effort:
 
 PRESETS: dict[str, Effort] = {
     "toy": Effort(250, 6_000, 32, 160),
-    "preview": Effort(2500, 60_000, 72, 320),
+    "preview": Effort(1500, 60_000, 72, 320),
     "standard": Effort(15_000, 120_000, 96, 640),
     "large": Effort(20_000, 200_000, 112, 960),
     "full": Effort(30_000, 300_000, 128, 1280),  # the paper's steps and picture size; Gaussians and voxels are ours
@@ -64,7 +64,7 @@ def effort_of(
 
 
 STILL_STEPS = 1 / 3  # of the flame's: the paper's 10 000 and 30 000
-HELD = 1.7  # times a step's time, where the flame is held over other plates and from all around (demo, preview)
+HELD = 1.3  # times a step's time, where the flame is held over other plates and from all around (dev fires)
 NATIVE_SHARE = 0.6  # of a step's time that is left with the native kernels
 
 

@@ -19,6 +19,7 @@ from scipy.sparse import coo_matrix, csr_matrix
 
 from gof.core.cameras import Camera
 from gof.core.colour import srgb_to_linear
+from gof.host.threads import map_on_cores
 from gof.reconstruct.observation import Observation
 from gof.reconstruct.tomography import find_compact_emission
 from gof.reconstruct.voxels import FlameVoxels
@@ -77,12 +78,11 @@ def find_compact_flame(voxels: FlameVoxels, observation: Observation) -> np.ndar
     light = unsaturated_light(observation)
     taken = observation.delivered.all(1)
     nothing = np.zeros(len(voxels.center))
-    return np.stack(
-        [
-            find_compact_emission(voxels, light[f], observation.mask[f]) if taken[f] else nothing
-            for f in range(len(light))
-        ]
-    )
+
+    def find(f: int) -> np.ndarray:
+        return find_compact_emission(voxels, light[f], observation.mask[f]) if taken[f] else nothing
+
+    return np.stack(map_on_cores(find, range(len(light))))
 
 
 def imagine_views(voxels: FlameVoxels, emission: np.ndarray, observation: Observation) -> UnseenViews | None:

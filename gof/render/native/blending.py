@@ -35,6 +35,7 @@ from gof.render.native.lanes import (
     store,
     store_blocks,
     store_plain_sums,
+    take_next,
     weighted_sum,
     where,
     zeros,
@@ -90,8 +91,21 @@ def _pixels(block, columns, first_row):
 
 
 @kernel
-def forward(records, lists, start, begin, stop_block, columns, first_row, planes, max_alpha):
-    """Draw blocks [begin, stop_block) of a band into the planes: one per channel, then alpha."""
+def forward(records, lists, start, chunks, taken, columns, first_row, planes, max_alpha):
+    """Draw chunks of a band into the planes: one per channel, then alpha.
+
+    chunks: (C, 2), blocks [begin, stop) of each.   taken: (1,) how many of them have begun; threads that share it share
+    the chunks, and whoever is free takes the next.
+    """
+    k = take_next(taken)
+    while k < len(chunks):
+        blocks = chunks[k, 0], chunks[k, 1]
+        _draw_blocks(records, lists, start, *blocks, columns, first_row, planes, max_alpha)
+        k = take_next(taken)
+
+
+@part
+def _draw_blocks(records, lists, start, begin, stop_block, columns, first_row, planes, max_alpha):
     last = len(lists) - 4
     for block in range(begin, stop_block):
         x, y, at = _pixels(block, columns, first_row)
@@ -126,11 +140,24 @@ def _draw(records, g, alpha, T, stop, colors):
 
 
 @kernel
-def backward(records, lists, start, begin, stop_block, columns, first_row, planes, grads, max_alpha, absgrad, sums):
-    """Add what blocks [begin, stop_block) give to the gradients of their Gaussians, as `block_sums` in `sums`.
+def backward(records, lists, start, chunks, taken, columns, first_row, planes, grads, max_alpha, absgrad, sums):
+    """Add what chunks of a band give to the gradients of their Gaussians, as `block_sums` in `sums`; see `forward`.
+
+    `absgrad` (None: no) adds |dL/dmean| per pixel.
+    """
+    k = take_next(taken)
+    while k < len(chunks):
+        blocks = chunks[k, 0], chunks[k, 1]
+        _add_blocks(records, lists, start, *blocks, columns, first_row, planes, grads, max_alpha, absgrad, sums)
+        k = take_next(taken)
+
+
+@part
+def _add_blocks(records, lists, start, begin, stop_block, columns, first_row, planes, grads, max_alpha, absgrad, sums):
+    """Add what blocks [begin, stop_block) give.
 
     Three steps overlap, each on another Gaussian, because each alone waits for its own results: alpha of the next,
-    derivative of this one, sums over the pixels of the last one. `absgrad` (None: no) adds |dL/dmean| per pixel.
+    derivative of this one, sums over the pixels of the last one.
     """
     last = len(lists) - 1
     for block in range(begin, stop_block):

@@ -275,6 +275,17 @@ def prefetch(typing, array, index):
     return types.void(array, types.int64), emit
 
 
+@intrinsic
+def take_next(typing, counter):
+    """counter[0] += 1 by one thread at a time, of those that share it; returns what it was before."""
+
+    def emit(context, builder, signature, values):
+        pointer = _pointer(context, builder, signature.args[0], values[0], ir.Constant(ir.IntType(64), 0))
+        return builder.atomic_rmw("add", pointer, ir.Constant(ir.IntType(64), 1), "monotonic")
+
+    return types.int64(counter), emit
+
+
 def _block_rows(context, builder, kind, plane, index, stride):
     """Addresses of a block's four rows."""
     for _ in range(4):

@@ -37,11 +37,11 @@ class _Band:
     def pairs(self) -> int:
         return int(self.start[-1])
 
-    def chunks(self, count: int) -> list[tuple[int, int]]:
-        """[begin, end) of blocks, about equally much work."""
+    def chunks(self, count: int) -> np.ndarray:
+        """(C, 2) int64: [begin, end) of blocks, about equally much work."""
         work = self.start + 4 * np.arange(len(self.start), dtype=np.int64)  # an empty block still is written
         ends = np.searchsorted(work, np.linspace(0, work[-1], count + 1)).tolist()
-        return [(a, b) for a, b in pairwise(ends) if a < b]
+        return np.array([(a, b) for a, b in pairwise(ends) if a < b], np.int64).reshape(-1, 2)
 
 
 class NativeBlend(dr.CustomOp):
@@ -128,11 +128,13 @@ class NativeBlend(dr.CustomOp):
         return band
 
     def _run_forward(self, band: _Band) -> None:
-        def draw(begin, end):
-            where = (begin, end, self.columns, band.first_row)
+        chunks, taken = band.chunks(CHUNKS * thread_count()), _none_taken()
+
+        def draw():
+            where = (chunks, taken, self.columns, band.first_row)
             blending.forward(self.records, band.gaussians, band.start, *where, self.planes, self.max_alpha)
 
-        run(draw, band.chunks(CHUNKS * thread_count()))
+        run(draw, [()] * thread_count())
 
     def backward(self):
         upstream = [as_plane(g, len(self.planes[0])) for g in self.grad_out()]
@@ -152,20 +154,22 @@ class NativeBlend(dr.CustomOp):
 
     def _run_backward(self, band: _Band, grads: tuple, sums: np.ndarray) -> None:
         chunks = band.chunks(REPEATABLE_CHUNKS if self.deterministic else CHUNKS * thread_count())
-        parts = len(sums)
-        shared = iter(chunks)
+        parts, taken = len(sums), _none_taken()
 
         def work(p):
             # Whoever is free takes the next chunk; repeatable is only what is given out beforehand.
-            for begin, end in chunks[p::parts] if self.deterministic else shared:
-                where = (begin, end, self.columns, band.first_row)
-                args = (self.records, band.gaussians, band.start, *where, self.planes, grads)
-                blending.backward(*args, self.max_alpha, True if self.absgrad else None, sums[p])
+            own = (np.ascontiguousarray(chunks[p::parts]), _none_taken()) if self.deterministic else (chunks, taken)
+            args = (self.records, band.gaussians, band.start, *own, self.columns, band.first_row, self.planes, grads)
+            blending.backward(*args, self.max_alpha, True if self.absgrad else None, sums[p])
 
         run(work, [(p,) for p in range(parts)])
 
     def name(self):
         return "native blend"
+
+
+def _none_taken() -> np.ndarray:
+    return np.zeros(1, np.int64)
 
 
 def _integers(n: int) -> np.ndarray:
