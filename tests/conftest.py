@@ -3,6 +3,10 @@
 import os
 from pathlib import Path
 
+# Before numpy comes: threads of workers side by side, one a core, would spin on small matrices and wait for each other.
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+os.environ.setdefault("OMP_WAIT_POLICY", "passive")
+
 import cv2
 import numpy as np
 import pytest
@@ -13,6 +17,22 @@ from gof.core.gaussians import TransientGaussians
 from gof.dataset import CameraEntry, DatasetDescription, Splits
 
 os.environ.setdefault("GOF_DEBUG", "faults")  # a fault of ours shows where it is; tests of its words take this away
+
+
+EACH_ALONE = ("tests/test_printed_commands.py", "tests/test_examples.py", "tests/test_site.py")  # pages take long
+
+
+@pytest.hookimpl(optionalhook=True)
+def pytest_xdist_make_scheduler(config, log):
+    """A file's tests, which share fixtures, on one worker; pages on any, so that none is left with the longest file."""
+    from xdist.scheduler import LoadScopeScheduling
+
+    class ByFile(LoadScopeScheduling):
+        def _split_scope(self, nodeid: str) -> str:
+            file = nodeid.partition("::")[0]
+            return nodeid if file in EACH_ALONE else file
+
+    return ByFile(config, log)
 
 
 def look_at(name: str, position, target, width=36, height=64, focal_px=80.0) -> Camera:
