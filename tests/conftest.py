@@ -1,11 +1,13 @@
 """Shared test material, all made here: small Gaussians, a small camera arc, and a dataset folder by the contract."""
 
 import os
+import sys
 from pathlib import Path
 
 # Before numpy comes: threads of workers side by side, one a core, would spin on small matrices and wait for each other.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 os.environ.setdefault("OMP_WAIT_POLICY", "passive")
+os.environ.pop("PYTHONDONTWRITEBYTECODE", None)  # some hundred processes start: each would compile the package again
 
 import cv2
 import numpy as np
@@ -16,6 +18,7 @@ from gof.core.fields import VelocityField, VelocitySequence
 from gof.core.gaussians import TransientGaussians
 from gof.dataset import CameraEntry, DatasetDescription, Splits
 
+sys.dont_write_bytecode = False
 os.environ.setdefault("GOF_DEBUG", "faults")  # a fault of ours shows where it is; tests of its words take this away
 
 
