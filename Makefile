@@ -59,7 +59,7 @@ $(READY): pyproject.toml requirements.lock tools/system_packages.sh tools/setup.
 lint: setup
 	$(VENV)/bin/ruff check .
 	$(VENV)/bin/ruff format --check .
-	$(VENV)/bin/python tools/type_errors.py
+	$(VENV)/bin/python -m mypy
 
 clean:
 	rm -rf out build *.egg-info

@@ -66,7 +66,7 @@ _MOVED = {
     for name in ("cameras", "errors", "fields", "gaussians", "harmonics", "ply", "results", "rotations", "trajectory")
 } | {
     "gof.evaluate.controls": "gof.evaluate.trivial_baselines",
-    "gof.evaluate.gradients": "gof.evaluate.emission",
+    "gof.evaluate.gradients": "gof.evaluate.eve",
     "gof.evaluate.perceptual": "gof.evaluate.image",
     "gof.evaluate.published": "gof.evaluate.authors_figures",
     "gof.evaluate.statistics": "gof.evaluate.intervals",

@@ -1,7 +1,13 @@
 """Shared test material, all made here: small Gaussians, a small camera arc, and a dataset folder by the contract."""
 
 import os
+import sys
 from pathlib import Path
+
+# Before numpy comes: threads of workers side by side, one a core, would spin on small matrices and wait for each other.
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+os.environ.setdefault("OMP_WAIT_POLICY", "passive")
+os.environ.pop("PYTHONDONTWRITEBYTECODE", None)  # some hundred processes start: each would compile the package again
 
 import cv2
 import numpy as np
@@ -12,7 +18,24 @@ from gof.core.fields import VelocityField, VelocitySequence
 from gof.core.gaussians import TransientGaussians
 from gof.dataset import CameraEntry, DatasetDescription, Splits
 
+sys.dont_write_bytecode = False
 os.environ.setdefault("GOF_DEBUG", "faults")  # a fault of ours shows where it is; tests of its words take this away
+
+
+EACH_ALONE = ("tests/test_printed_commands.py", "tests/test_examples.py", "tests/test_site.py")  # pages take long
+
+
+@pytest.hookimpl(optionalhook=True)
+def pytest_xdist_make_scheduler(config, log):
+    """A file's tests, which share fixtures, on one worker; pages on any, so that none is left with the longest file."""
+    from xdist.scheduler import LoadScopeScheduling
+
+    class ByFile(LoadScopeScheduling):
+        def _split_scope(self, nodeid: str) -> str:
+            file = nodeid.partition("::")[0]
+            return nodeid if file in EACH_ALONE else file
+
+    return ByFile(config, log)
 
 
 def look_at(name: str, position, target, width=36, height=64, focal_px=80.0) -> Camera:

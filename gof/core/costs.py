@@ -91,6 +91,14 @@ class StageLog:
         self.record(name, time.perf_counter() - start, peak_memory_mb(), settings)
 
 
+@contextmanager
+def timed(costs: dict[str, float], name: str) -> Iterator[None]:
+    """Add the seconds of a block to costs[name]."""
+    start = time.perf_counter()
+    yield
+    costs[name] = costs.get(name, 0.0) + time.perf_counter() - start
+
+
 def peak_memory_mb() -> float:
     """Return the most memory this process has held so far, in MB; 0 where it is not known (Windows without psutil)."""
     status = Path("/proc/self/status")

@@ -12,7 +12,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any, Protocol, TypeVar
 
 import numpy as np
 
@@ -25,12 +25,17 @@ LIFE_SIGMAS = 3.0  # a Gaussian lives for this many t_sigma before and after t_m
 FILLED_IN: Any = None  # default of an array that is there once its owner is constructed
 
 
+M = TypeVar("M", bound="MovingGaussians")
+
+
 class MovingGaussians(Protocol):
     """Gaussians that can be scored, drawn and saved: `TransientGaussians`; without a closed form `Trajectory`."""
 
-    dynamic: np.ndarray  # (N,) bool; False = static background
-
     def __len__(self) -> int: ...
+
+    @property
+    def dynamic(self) -> np.ndarray:
+        """(N,) bool; False = static background."""
 
     @property
     def covered_s(self) -> tuple[float, float]:
@@ -43,10 +48,10 @@ class MovingGaussians(Protocol):
         """Return Gaussians whose `at(time_s)` and velocities are those of that time, row by row the same ones at all
         times."""
 
-    def transformed(self, matrix: np.ndarray) -> MovingGaussians:
+    def transformed(self: M, matrix: np.ndarray) -> M:
         """In another world, by a similarity (4, 4); velocities turn and stretch with it, times stay."""
 
-    def measured_from(self, datum: Datum) -> MovingGaussians:
+    def measured_from(self: M, datum: Datum) -> M:
         """Return the same ones with places and times from another datum; unchanged where theirs is unknown."""
 
     def save(self, path: str | Path, source: str = "") -> Path:

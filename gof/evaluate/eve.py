@@ -19,18 +19,20 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from functools import partial
 
 import numpy as np
 
+from gof.core.costs import timed
 from gof.core.fields import VelocitySequence
 from gof.core.gaussians import MovingGaussians, TransientGaussians
 from gof.evaluate.dve_frame import DVEResult, Sums, agreement_sums
 from gof.evaluate.emission import FlameGrid
-from gof.evaluate.expectation import expected_velocity
 from gof.evaluate.intervals import own_generator
 from gof.evaluate.sparse_grid import StoredField, StoredFields, fields_of
 from gof.evaluate.visible import opacity_per_metre
 
+GRADIENTS = 128  # places per frame, drawn from its light; six velocities each
 PLACES = 1024  # of a clip, each asked at every frame in which it burns
 GROUPS = 8  # of places, each spread over the whole flame; they tell how exact the sums are
 EMPTY = 0.01  # of the mean opacity per metre where the flame is; below, nothing of the result is there
@@ -115,6 +117,30 @@ class EveResult:
     baselines: dict[str, DVEResult] = field(default_factory=dict)
 
 
+def score_where_it_burns(
+    gaussians: MovingGaussians,
+    truth: VelocitySequence | StoredFields,
+    flame: FlameGrid,
+    times_s: np.ndarray,
+    costs: dict[str, float],
+    progress: Callable[..., None],
+) -> tuple[EveResult, GradientErrors]:
+    """Score a result's velocities where the fire is, and their gradients there.
+
+    Args:
+        truth, flame, times_s: as in `score_eve`.
+        costs: seconds by part; "eve" and "gradients" are added.
+        progress: progress(done, total, stage=name).
+    Raises:
+        DataFormatError: see `FlameGrid.places`.
+    """
+    fields = fields_of(truth)
+    with timed(costs, "eve"):
+        eve = score_eve(gaussians, fields, flame, times_s, progress=partial(progress, stage="EVE"))
+    with timed(costs, "gradients"):
+        return eve, score_gradients(gaussians, fields, flame, times_s, progress=partial(progress, stage="gradients"))
+
+
 def score_eve(
     gaussians: MovingGaussians,
     truth: VelocitySequence | StoredFields,
@@ -159,10 +185,8 @@ def _said(state: TransientGaussians, field: StoredField, time_s: float, seen: np
     if state.gas_velocity is not None:
         said["light"] = np.where(moving, state.velocity, 0).astype(np.float64)
     rows = np.unique(seen)
-    position = state.at(time_s)[0][rows].astype(np.float64)
     said["true_centre"] = np.zeros((len(state), 3))
-    found = expected_velocity(field, position, state.scale[rows], state.rotation[rows], 1)
-    said["true_centre"][rows] = found.centre
+    said["true_centre"][rows] = field.sample(state.at(time_s)[0][rows].astype(np.float64))
     return said
 
 
@@ -227,3 +251,102 @@ def _jackknife(values: list[float | None]) -> float | None:
     if len(known) < len(values):
         return None
     return float(np.sqrt((len(known) - 1) * np.var(known)))
+
+
+# ---------------------------------------------------------------- gradients
+#
+# Of a result and of the truth: the central difference over one cell of the true grid to each side of a place. Where no
+# Gaussian is on one of the six sides, a result says nothing of how the flow changes, and its gradient counts as zero.
+#
+#     vorticity   sqrt( sum |w - W|^2 / sum |W|^2 )            w, W: curl of the result's and of the true velocity
+#     divergence  sqrt( sum (d - D)^2 / sum |grad V|^2 )       d, D: divergence; over the size of the true gradient, as
+#                                                              a true divergence is next to nothing outside the flame
+
+
+@dataclass(frozen=True)
+class GradientErrors:
+    """Pooled over all frames; None where the true gradient is zero, or nothing shines.
+
+    Attributes:
+        still_divergence_l2: the divergence error of a flow that stands still (its vorticity error is 1).
+        uncovered: share of the places without a Gaussian on one of their sides, 0..1.
+    """
+
+    vorticity_l2: float | None
+    divergence_l2: float | None
+    still_divergence_l2: float | None
+    uncovered: float
+
+
+def score_gradients(
+    gaussians: MovingGaussians,
+    truth: VelocitySequence | StoredFields,
+    flame: FlameGrid,
+    times_s: np.ndarray,
+    seed: int = 0,
+    progress: Callable[[int, int], None] | None = None,
+) -> GradientErrors:
+    """Return errors at GRADIENTS places per frame, drawn from the true emission; the seed makes them the same for all
+    results.
+
+    Raises:
+        DataFormatError: see `FlameGrid.places`.
+    """
+    rng, fields = own_generator("places of gradients", seed), fields_of(truth)
+    sums, uncovered, count = np.zeros(5), 0, 0
+    for k, time_s in enumerate(map(float, times_s)):
+        places = flame.places(time_s, GRADIENTS, rng)
+        if len(places):
+            field = fields.at(time_s)
+            sides = six_sides(places, field.voxel_size)
+            state = gaussians.state_at(time_s)
+            seen = opacity_per_metre(sides, state, time_s)
+            velocity = seen.mean_velocity(state.moving_gas)
+            known = (seen.total() > 0).reshape(6, -1).all(0)
+            found = gradient(velocity, field.voxel_size) * known[:, None, None]
+            true = gradient(field.sample(sides).astype(np.float64), field.voxel_size)
+            sums += _squares(found, true)
+            uncovered += int((~known).sum())
+            count += len(places)
+        if progress:
+            progress(k + 1, len(times_s))
+    rotation, true_rotation, expansion, true_expansion, size = sums
+    return GradientErrors(
+        vorticity_l2=float(np.sqrt(rotation / true_rotation)) if true_rotation > 0 else None,
+        divergence_l2=float(np.sqrt(expansion / size)) if size > 0 else None,
+        still_divergence_l2=float(np.sqrt(true_expansion / size)) if size > 0 else None,
+        uncovered=uncovered / max(count, 1),
+    )
+
+
+def six_sides(places: np.ndarray, step: float) -> np.ndarray:
+    """Return (6 M, 3): the places (M, 3) moved by a step along +x, +y, +z, -x, -y, -z."""
+    moves = step * np.concatenate([np.eye(3), -np.eye(3)])
+    return (moves[:, None] + places).reshape(-1, 3)
+
+
+def gradient(values: np.ndarray, step: float) -> np.ndarray:
+    """Return (M, 3, 3) of a vector's values (6 M, 3) at `six_sides`: [:, j, k] is the change of component k along axis
+    j."""
+    ahead, behind = values.reshape(2, 3, -1, 3)
+    return np.moveaxis((ahead - behind) / (2 * step), 0, 1)
+
+
+def curl(gradients: np.ndarray) -> np.ndarray:
+    """Return (M, 3) 1/s of velocity gradients (M, 3, 3) with [:, j, k] = d v_k / d x_j."""
+    spin = gradients - gradients.transpose(0, 2, 1)
+    return np.stack([spin[:, 1, 2], spin[:, 2, 0], spin[:, 0, 1]], -1)
+
+
+def _squares(found: np.ndarray, true: np.ndarray) -> np.ndarray:
+    """Return (5,) sums of squares: error and size of the vorticity, error and size of the divergence, size of the
+    gradient."""
+    rotation, expansion = curl(true), np.trace(true, axis1=1, axis2=2)
+    parts = (
+        curl(found) - rotation,
+        rotation,
+        np.trace(found, axis1=1, axis2=2) - expansion,
+        expansion,
+        true,
+    )
+    return np.array([np.square(part).sum() for part in parts])

@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable, Iterable, Iterator
-from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
 from gof.core.cameras import sizes_px
+from gof.core.costs import timed
 from gof.core.errors import MissingDependencyError, NonFiniteError
 from gof.core.gaussians import MovingGaussians
 from gof.dataset import Dataset
@@ -79,14 +78,6 @@ class Frame:
     disparity: np.ndarray | None  # (H, W) drawn, 1/m; None when not asked for
     truth: np.ndarray  # (H, W, 3)
     mask: Weights  # 1 where flame is; None = the dataset does not say
-
-
-@contextmanager
-def timed(costs: dict[str, float], name: str) -> Iterator[None]:
-    """Add the seconds of a block to costs[name]."""
-    start = time.perf_counter()
-    yield
-    costs[name] = costs.get(name, 0.0) + time.perf_counter() - start
 
 
 def image_scores(

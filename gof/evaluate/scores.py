@@ -16,8 +16,7 @@ from gof.core.errors import DataFormatError
 from gof.core.files import without_place
 from gof.core.records import read_record, write_record
 from gof.evaluate.dve_frame import DVEResult, DVESequence, Opacity
-from gof.evaluate.emission import GradientErrors
-from gof.evaluate.eve import EveResult
+from gof.evaluate.eve import EveResult, GradientErrors
 from gof.evaluate.settled import Settled
 from gof.io.importers import ImportOptions
 from gof.io.importers.alignment import Alignment

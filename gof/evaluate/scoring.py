@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from gof.core.costs import timed
 from gof.core.errors import DataFormatError
 from gof.core.fields import VelocitySequence
 from gof.core.gaussians import MovingGaussians, TransientGaussians
@@ -17,9 +18,9 @@ from gof.dataset.leaks import MadeFrom, leaks
 from gof.dataset.plates import own_plate
 from gof.evaluate.around import ViewAround, angles_deg, score_around
 from gof.evaluate.dve_frame import DVESequence, Opacity
-from gof.evaluate.emission import GradientErrors, flame_grid, score_gradients
-from gof.evaluate.eve import EveResult, score_eve
-from gof.evaluate.image_scores import BLACK, Extras, Progress, image_scores, timed
+from gof.evaluate.emission import flame_grid
+from gof.evaluate.eve import EveResult, GradientErrors, score_where_it_burns
+from gof.evaluate.image_scores import BLACK, Extras, Progress, image_scores
 from gof.evaluate.light import score_light
 from gof.evaluate.scores import (
     Agreement,
@@ -233,21 +234,16 @@ def _score_motion(
         fields = StoredFields(truth)
         sequence = dve_sequence(gaussians, fields, times_s, order, opacity, progress=partial(progress, stage="DVE"))
         times_s = np.array(sequence.times_s)
+    with timed(costs, "quadrature"):
+        settled = settle(gaussians, fields, sequence.probed, sequence.pooled, order)
     figures: dict[str, Any] = {}
     eve, gradients = None, None
     if flame is not None:
-        with timed(costs, "eve"):
-            eve = score_eve(gaussians, fields, flame, times_s, progress=partial(progress, stage="EVE"))
+        eve, gradients = score_where_it_burns(gaussians, fields, flame, times_s, costs, progress)
         with timed(costs, "light"):
             middle = dataset.cameras[len(dataset.cameras) // 2].world_to_camera[2, :3]
             light = score_light(gaussians, flame, times_s, middle, partial(progress, stage="light"))
             figures["light"] = None if light is None else LightScore(**asdict(light))
-        with timed(costs, "gradients"):
-            gradients = score_gradients(
-                gaussians, fields, flame, times_s, progress=partial(progress, stage="gradients")
-            )
-    with timed(costs, "quadrature"):
-        settled = settle(gaussians, fields, sequence.probed, sequence.pooled, order)
     figures["dve"] = replace(
         _velocity_score(sequence, dataset.datum.time_s, order, opacity, eve, gradients),
         settled=settled,

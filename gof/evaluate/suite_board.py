@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, fields, is_dataclass, replace
+from functools import partial
 from itertools import combinations
 from typing import Any, ClassVar
 
@@ -17,7 +18,7 @@ from gof.evaluate.eddy_time import EddyTime
 from gof.evaluate.intervals import Estimate, over_frames, over_runs, over_scenes, ranks
 from gof.evaluate.leaderboard import COLUMNS, EvaluatedResult
 from gof.evaluate.method import AboutMethod
-from gof.evaluate.scores import FIGURES, Agreement, Scores, velocity_of
+from gof.evaluate.scores import FIGURES, Agreement, Scores, TrivialScore, velocity_of
 from gof.evaluate.training_curve import TrainingCurve
 
 RANKED = ("eve_l2", "eve_cos", "psnr_flame", "ssim_flame")  # figures that every frame has
@@ -233,6 +234,7 @@ def too_good(scores: Scores) -> str:
     if scores.dve is None:
         return ""
     eve = scores.dve.eve
+    sides: list[tuple[str, float | None, TrivialScore | Agreement | None]]
     sides = [("DVE L2", scores.dve.l2, scores.trivial_baselines.get("true_centre"))]
     sides += [] if eve is None else [("EVE L2", eve.l2, eve.baselines.get("true_centre"))]
     for name, own, bound in sides:
@@ -269,6 +271,12 @@ def _estimate(key: str, name: str, scenes: Sequence[ScoredScene]) -> tuple[Estim
     if not estimates:
         return None, None
     return over_scenes(estimates), float(np.mean(spreads)) if spreads else None
+
+
+def _scene_mean(key: str, name: str, scene: ScoredScene) -> float:
+    """Return the mean of a scene; NaN where it has no such figure."""
+    estimate, _ = _estimate(key, name, [scene])
+    return float("nan") if estimate is None else estimate.mean
 
 
 def frame_figures(scores: Scores, scene: ScoredScene, key: str) -> Series:
@@ -334,7 +342,7 @@ def _places(key: str, names: Sequence[str], scenes: Sequence[ScoredScene]) -> di
         known = [estimate for estimate in apart if estimate is not None]
         p_values[i, j] = p_values[j, i] = over_scenes(known).p_value if len(known) == len(apart) else 1.0
     order = ranks(means, p_values, sign)
-    per_scene = np.array([[_estimate(key, name, [scene])[0].mean for name in names] for scene in scenes])
+    per_scene = np.array([[_scene_mean(key, name, scene) for name in names] for scene in scenes])
     wins = (per_scene == (sign * per_scene).max(1, keepdims=True) * sign).sum(0)
     return {
         name: Figure(mean, rank=first, last_rank=last, wins=int(won))
@@ -384,15 +392,12 @@ def _whose(methods: Sequence[str], scenes: Sequence[ScoredScene]) -> dict[str, s
     room.
     """
 
-    def last(name: str, scene: ScoredScene) -> tuple[bool, bool]:
+    def last(scene: ScoredScene, name: str) -> tuple[bool, bool]:
         flame = all(run.scores.import_.over_plates for run in scene.runs[name])
         return not flame, not all(name in other.runs for other in scenes)
 
-    found = {}
-    for scene in scenes:
-        if there := [name for name in methods if name in scene.runs]:
-            found[scene.name] = min(there, key=lambda name, scene=scene: last(name, scene))
-    return found
+    there = [(scene, [name for name in methods if name in scene.runs]) for scene in scenes]
+    return {scene.name: min(names, key=partial(last, scene)) for scene, names in there if names}
 
 
 def _trivial_rows(whose: dict[str, str], scenes: Sequence[ScoredScene]) -> list[BoardRow]:
@@ -423,8 +428,8 @@ def _trivial_rows(whose: dict[str, str], scenes: Sequence[ScoredScene]) -> list[
 
 
 def _trivial_row(name: str, scores: Sequence[Scores]) -> tuple[str, str, dict[str, float | None]]:
-    trivial_baselines = [one.trivial_baselines.get(name) for one in scores]
-    if any(trivial_baseline is None for trivial_baseline in trivial_baselines):
+    trivial_baselines = [one.trivial_baselines[name] for one in scores if name in one.trivial_baselines]
+    if len(trivial_baselines) < len(scores):
         return name, "", {}
     known = [{"zero": Agreement(1.0, 0.0)} | one.dve.eve.baselines for one in scores if one.dve and one.dve.eve]
     eves = [baselines[name] for baselines in known if name in baselines]
@@ -436,8 +441,8 @@ def _trivial_row(name: str, scores: Sequence[Scores]) -> tuple[str, str, dict[st
     }
     if name in WITHOUT_STRUCTURE:
         found |= {"fluctuation_l2": 1.0, "fluctuation_cos": 0.0}
-    gradients = [one.dve.gradients for one in scores if one.dve is not None]
-    if name in UNIFORM and all(gradients):
+    gradients = [one.dve.gradients for one in scores if one.dve is not None and one.dve.gradients is not None]
+    if name in UNIFORM and len(gradients) == sum(one.dve is not None for one in scores):
         found["vorticity_l2"] = 1.0
         found["divergence_l2"] = _average([errors.still_divergence_l2 for errors in gradients])
     return name, trivial_baselines[0].meaning, found

@@ -70,9 +70,9 @@ def find_up(
         if choice == "accelerometer":
             raise sfm.PoseError(f"--up accelerometer: {found}")
     if choice in ("auto", "edges"):
-        found = up_from_edges(Edges.find(clip.plates, clip.masks, lenses, poses), level)
-        if found is not None:
-            return *found, tuple(warnings)
+        vertical = up_from_edges(Edges.find(clip.plates, clip.masks, lenses, poses), level)
+        if vertical is not None:
+            return *vertical, tuple(warnings)
         if choice == "edges":
             raise sfm.PoseError(
                 "--up edges: too few straight edges agree on a vertical; use --up points, --up board or --up cameras"
@@ -97,7 +97,7 @@ def upright_world(world_to_camera: np.ndarray, up: np.ndarray | None = None) -> 
     baseline = centers[-1] - centers[0]
     z = cameras_up(world_to_camera) if up is None else up
     x = baseline - z * (baseline @ z)
-    if np.linalg.norm(x) < 1e-9 * max(np.linalg.norm(baseline), 1e-300):
+    if np.linalg.norm(x) < 1e-9 * max(float(np.linalg.norm(baseline)), 1e-300):
         x = R[0, 0] - z * (R[0, 0] @ z)  # cameras above each other
     x /= np.linalg.norm(x)
     axes = np.stack([x, np.cross(z, x), z])

@@ -3,7 +3,7 @@ between."""
 
 from __future__ import annotations
 
-from collections.abc import Collection
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
@@ -144,7 +144,7 @@ class Evidence:
 
     @classmethod
     def of(
-        cls, name: str, clips: list[Collection[np.ndarray]], lowest: list[np.ndarray], options: PoseOptions
+        cls, name: str, clips: Sequence[Collection[np.ndarray]], lowest: list[np.ndarray], options: PoseOptions
     ) -> Evidence:
         """From (H, W, 3) uint8 RGB pictures and their minimum plate, per camera."""
         board, notes = board_points(clips, options.board, options.marker_side) if options.board else ([], [])
@@ -184,7 +184,7 @@ def require_still(
 
 
 def _feature_masks(
-    clips: list[Collection[np.ndarray]], board: list[MarkedPoint], options: PoseOptions
+    clips: Sequence[Collection[np.ndarray]], board: list[MarkedPoint], options: PoseOptions
 ) -> list[np.ndarray]:
     """Return (H, W) bool per camera: where features may be, on what stands still and is not the board."""
     masks = [_still(clip) for clip in clips]
@@ -208,7 +208,7 @@ GROWN = 0.2  # of a marker side: what around the board's outline still belongs t
 
 
 def board_points(
-    clips: list[Collection[np.ndarray]], template: BoardTemplate, marker_m: float
+    clips: Sequence[Collection[np.ndarray]], template: BoardTemplate, marker_m: float
 ) -> tuple[list[MarkedPoint], list[str]]:
     """Return the board's points that some camera sees, xyz on the board (z = 0) in metres.
 

@@ -122,13 +122,13 @@ class Footage:
             raise GofError("give the intrinsics with either --cameras FILE or --fov DEGREES")
         require_different(videos)
         require_one_film_each(videos)
-        known = None if cameras is None else read_cameras(cameras, videos)
+        known = [] if cameras is None else read_cameras(cameras, videos)
         infos = [_read(video) for video in videos]
-        if known is None:
+        if not known:
             require_square_pixels(infos)
-        notes = other_notes(infos, known is None)
+        notes = other_notes(infos, not known)
         turns = turns_by_tags(infos, turn)
-        if known is None:
+        if fov_deg is not None:
             lenses = tuple(Lens.from_fov(info.width, info.height, fov_deg) for info in infos)
             return cls(tuple(videos), lenses, turns, None, tuple(infos), tuple(notes))
         lenses = tuple(camera.lens for camera in known)

@@ -187,7 +187,7 @@ def _make(
         entries = camera_entries(footage, times, stored, boards)
         DatasetDescription(
             out.name,
-            entries[0].time_s,
+            tuple(times.time_s[0].tolist()),
             entries,
             splits,
             provenance=made_by,

@@ -131,6 +131,7 @@ class PublishedFootage(Footage):
         scale: how the unit of length is known, in words.
     """
 
+    world_to_camera: np.ndarray  # always known
     meta: Meta
     transform: np.ndarray
     scale: str

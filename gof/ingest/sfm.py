@@ -134,8 +134,9 @@ def shift_between(
     scale = np.array([width / second.shape[1], height / second.shape[0]])
     sides = []
     for picture, mask in ((first, first_mask), (second, second_mask)):
-        where = None if mask is None else mask.astype(np.uint8) * 255
-        points, kinds = sift.detectAndCompute(cv2.cvtColor(picture, cv2.COLOR_RGB2GRAY), where)
+        where = np.ones(picture.shape[:2], bool) if mask is None else mask
+        grey = cv2.cvtColor(picture, cv2.COLOR_RGB2GRAY)
+        points, kinds = sift.detectAndCompute(grey, where.astype(np.uint8) * 255)
         sides.append((np.array([p.pt for p in points]).reshape(-1, 2) + 0.5, kinds))
     (here, these), (there, those) = sides
     if len(here) < 2 or len(there) < 2:

@@ -86,9 +86,8 @@ class _Rectified:
             flags=cv2.CALIB_ZERO_DISPARITY,
             alpha=-1,  # keeps the focal length; OpenCV's other choices turn it negative for strongly turned pairs
         )
-        for P in (P1, P2):
-            P[:2, 2] += (size[0] - width) / 2, (size[1] - height) / 2
-        return cls(_View(K1, R1, P1), _View(K2, R2, P2), size)
+        to_middle = np.array([[1, 0, (size[0] - width) / 2], [0, 1, (size[1] - height) / 2], [0, 0, 1]])
+        return cls(_View(K1, R1, to_middle @ P1), _View(K2, R2, to_middle @ P2), size)
 
     def rectify(self, picture: np.ndarray, view: _View) -> np.ndarray:
         """Return the view's picture (H, W, 3) RGB in grey, rectified."""

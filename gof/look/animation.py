@@ -225,7 +225,7 @@ def _write_video(path: Path, frames: Iterable[np.ndarray], fps: float) -> int:
     writer, count = None, 0
     for frame in frames:
         if writer is None:
-            code = cv2.VideoWriter_fourcc(*CODES[path.suffix.lower()])
+            code = cv2.VideoWriter.fourcc(*CODES[path.suffix.lower()])
             with _quiet():
                 writer = cv2.VideoWriter(str(path), cv2.CAP_FFMPEG, code, fps, frame.shape[1::-1])
             if not writer.isOpened():

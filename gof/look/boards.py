@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import NamedTuple
+from typing import NamedTuple, TypeVar
 
 import numpy as np
 
@@ -21,6 +21,8 @@ from gof.look.charts import FAINT, Chart, accuracy_charts, line_chart, stream_ch
 from gof.look.comparison import read_again
 from gof.look.pages import PageGrid, template
 
+K = TypeVar("K", int, str)  # what names a row
+
 
 def used(rows: tuple[BoardRow, ...]) -> list[str]:
     """Return the columns in which any row has a value: those with ranks first."""
@@ -28,7 +30,7 @@ def used(rows: tuple[BoardRow, ...]) -> list[str]:
     return [key for key in RANKED if key in there] + [key for key in there if key not in RANKED]
 
 
-def best(figures: Mapping[int, Figure], key: str) -> int | None:
+def best(figures: Mapping[K, Figure], key: str) -> K | None:
     """Return which of a column's competing figures has the best mean; None where none is better, or there is one
     alone."""
     sign = COLUMNS[key].better
@@ -37,7 +39,7 @@ def best(figures: Mapping[int, Figure], key: str) -> int | None:
     return max(figures, key=lambda i: sign * figures[i].mean)
 
 
-def marks_of(figures: Mapping[int, Figure], key: str) -> dict[int, str]:
+def marks_of(figures: Mapping[K, Figure], key: str) -> dict[K, str]:
     """Return a column's marks: "best" is the best mean, "first" are the others that may be first as well."""
     leader = best(figures, key)
     may_be = {i: "first" for i, figure in figures.items() if figure.rank == 1}

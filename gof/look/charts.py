@@ -306,8 +306,8 @@ def line_chart(
             for x, y, _, spread in points:
                 if spread:
                     axes.plot([x, x], [y - spread, y + spread], color=colour, linewidth=1.0)
-        for which, axis, column in (("x", axes.xaxis, 0), ("y", axes.yaxis, 1)):
-            values = [point[column] for points in placed.values() for point in points]
+        for which, axis in (("x", axes.xaxis), ("y", axes.yaxis)):
+            values: list[float] = [getattr(point, which) for points in placed.values() for point in points]
             if values and which in log:
                 getattr(axes, f"set_{which}scale")("log")
                 low, high = _limits(values)
@@ -350,9 +350,9 @@ def accuracy_charts(rows: Sequence[Row]) -> dict[str, Chart]:
     constant = next((row for row in rows if row.trivial_baseline and row.name.endswith("constant")), None)
     charts = {}
     for key in ACCURACY:
-        shown = [row for row in rows if not row.trivial_baseline and getattr(row, key) is not None and row.train_s]
-        if shown:
-            points = [(row.name, row.train_s, getattr(row, key)) for row in shown]
+        methods = [row for row in rows if not row.trivial_baseline and getattr(row, key) is not None]
+        points = [(row.name, row.train_s, getattr(row, key)) for row in methods if row.train_s]
+        if points:
             charts[key] = accuracy_chart(key, points, None if constant is None else getattr(constant, key))
     return charts
 

@@ -207,10 +207,10 @@ def largest_errors(drawn: Sequence[np.ndarray], recorded: np.ndarray, count: int
     error = np.mean([np.abs(one - recorded).mean(-1) for one in drawn], axis=0)
     total = cv2.boxFilter(error, -1, (side, side), anchor=(0, 0), borderType=cv2.BORDER_REFLECT)
     total = total[: height - side + 1, : width - side + 1].copy()
-    found = []
+    found: list[Box] = []
     while len(found) < count and np.isfinite(total).any():
-        y, x = np.unravel_index(int(np.argmax(total)), total.shape)
-        found.append(Box(int(x), int(y), side, side))
+        y, x = map(int, np.unravel_index(int(np.argmax(total)), total.shape))
+        found.append(Box(x, y, side, side))
         total[max(0, y - side + 1) : y + side, max(0, x - side + 1) : x + side] = -np.inf
     return sorted(found, key=lambda box: box.y)
 

@@ -13,6 +13,7 @@ import cv2
 import numpy as np
 
 import gof
+from gof.core.errors import GofError
 from gof.core.files import only_run_in
 from gof.dataset import Dataset
 from gof.footage.pictures import read_picture, write_picture
@@ -120,14 +121,14 @@ def make_film(
             if progress:
                 progress(len(files) - len(missing) + done + 1, len(files))
         write_film(out, _read(files), options.fps)
-        size = read_picture(files[0]).shape[1::-1]
+        height, width = read_picture(files[0]).shape[:2]
         if not options.keep_frames:
             _remove(folder, lambda name: True)
     if not options.keep_frames:
         (folder / ".lock").unlink(missing_ok=True)
         if not any(folder.iterdir()):
             folder.rmdir()
-    return Film(out, len(files), len(files) - len(missing), size, scales)
+    return Film(out, len(files), len(files) - len(missing), (width, height), scales)
 
 
 def draw_frame(
@@ -141,15 +142,18 @@ def draw_frame(
         "reduced": f"Gaussians x {options.reduced:g}",
         "error": f"error, bright: {MOST_ERROR:g}",
     }
+    picture = None if recorded is None else recorded.picture(shot)
     rows = []
     for subject in subjects:
         row = []
-        if recorded is not None:
-            row.append(label(recorded.picture(shot), original(recorded.dataset), "rgb", scales))
+        if recorded is not None and picture is not None:
+            row.append(label(picture, original(recorded.dataset), "rgb", scales))
         for kind in options.panels:
             panel = draw_panel("rgb" if kind == "error" else kind, subject, shot, scales, options.reduced)
             if kind == "error":
-                panel = error_colours(panel, recorded.picture(shot))
+                if picture is None:
+                    raise GofError('the panel "error" needs the recorded pictures')
+                panel = error_colours(panel, picture)
             title = titles[kind] if len(subjects) == 1 else f"{subject.name}  {titles[kind]}"
             row.append(label(panel, title or subject.name, kind, scales))
         rows.append(row)

@@ -141,7 +141,7 @@ class _View:
         maps."""
         if len(self.dataset.cameras) < 2:
             return "one camera has no stereo"
-        plates = [np.uint8(np.rint(255 * self.dataset.static(c))) for c in range(len(self.dataset.cameras))]
+        plates = [np.rint(255 * self.dataset.static(c)).astype(np.uint8) for c in range(len(self.dataset.cameras))]
         poses = Poses.read(self.dataset.path)
         points = np.zeros((0, 3)) if poses is None else poses.points_array()
         depth = stereo_depth(plates, self.dataset.cameras, points)[self.number]
@@ -152,7 +152,7 @@ class _View:
             return "no network's weights were named (--depth)"
         if isinstance(stereo, str):
             return f"its scale comes from stereo depth, and {stereo}"
-        plate = np.uint8(np.rint(255 * self.dataset.static(self.number)))
+        plate = np.rint(255 * self.dataset.static(self.number)).astype(np.uint8)
         relative = monocular(plate, self.sources.depth_weights)
         return from_relative(relative, *align(relative, stereo), farthest=2 * float(np.nanmax(stereo)))
 

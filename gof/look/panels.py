@@ -101,7 +101,7 @@ def depth_colours(depth: np.ndarray, alpha: np.ndarray, scales: Scales) -> np.nd
     """Return (H, W, 3) uint8: near yellow, far violet, by log depth; dark where nothing is."""
     low, high = np.log(scales.near), np.log(scales.far)
     share = (high - np.log(np.clip(depth, scales.near, scales.far))) / max(high - low, 1e-9)
-    colour = mapped(np.uint8(255 * share + 0.5), VIRIDIS) / 255
+    colour = mapped((255 * share + 0.5).astype(np.uint8), VIRIDIS) / 255
     return to_bytes(alpha[..., None] * colour + (1 - alpha[..., None]) * GROUND)
 
 
@@ -109,7 +109,7 @@ def error_colours(drawn: np.ndarray, recorded: np.ndarray, most: float = MOST_ER
     """Return (H, W, 3) uint8 of two pictures (H, W, 3) uint8: the channels' mean difference, black none, bright
     `most`."""
     error = np.abs(drawn.astype(np.float32) - recorded).mean(-1) / 255
-    share = np.uint8(255 * np.clip(error / most, 0, 1) + 0.5)
+    share = (255 * np.clip(error / most, 0, 1) + 0.5).astype(np.uint8)
     return mapped(share, INFERNO)
 
 

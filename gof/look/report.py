@@ -17,7 +17,7 @@ from gof.core.gaussians import TransientGaussians
 from gof.core.records import read_record, write_record
 from gof.dataset import Dataset
 from gof.dataset.plates import background
-from gof.evaluate.scores import Scores, TrivialScore, VelocityScore
+from gof.evaluate.scores import Agreement, ClipScore, EveFigures, Scores
 from gof.host.checks import machine, versions
 from gof.look import animation as pictures
 from gof.look.charts import around_chart, frame_chart
@@ -185,19 +185,19 @@ def verdicts(scores: Scores) -> list[Verdict]:
     defined of it."""
     out = []
     eve = None if scores.dve is None else scores.dve.eve
-    if eve is not None and eve.l2 is not None and (constant := eve.baselines.get("constant")):
-        good = eve.l2 < constant.l2 and eve.cos_sim > constant.cos_sim
-        sentence = f"Where the fire is (EVE): L2 {eve.l2:.3f} against {constant.l2:.3f} of one constant vector, "
-        out.append(Verdict(good, f"{sentence}CosSim {eve.cos_sim:.3f} against {constant.cos_sim:.3f}."))
-    if scores.dve is not None and scores.dve.l2 is not None:
+    if (own := _defined(eve)) and (constant := _defined(eve and eve.baselines.get("constant"))):
+        sentence = f"Where the fire is (EVE): L2 {own.l2:.3f} against {constant.l2:.3f} of one constant vector, "
+        sentence += f"CosSim {own.cos_sim:.3f} against {constant.cos_sim:.3f}."
+        out.append(Verdict(all(own.better_than(constant)), sentence))
+    if scores.dve is not None and (own := _defined(scores.dve)):
         for name, words in COMPARED.items():
-            trivial_baseline = scores.trivial_baselines.get(name)
-            if trivial_baseline is not None and trivial_baseline.l2 is not None:
-                out.append(_against(trivial_baseline, words, scores.dve))
+            if trivial_baseline := _defined(scores.trivial_baselines.get(name)):
+                out.append(_against(trivial_baseline, words, own))
         ratio = scores.dve.speed_ratio
         low, high = RIGHT_SPEED
-        out.append(Verdict(low <= ratio <= high, f"Speeds are {ratio:.2f} times the true ones."))
-    if scores.psnr_flame is not None:
+        if ratio is not None:
+            out.append(Verdict(low <= ratio <= high, f"Speeds are {ratio:.2f} times the true ones."))
+    if scores.psnr_flame is not None and scores.psnr_flame_plate is not None:
         gain = scores.psnr_flame - scores.psnr_flame_plate
         side = "above" if gain > 0 else "below"
         size = in_words(scores.images.sizes_px) if scores.images else ""
@@ -207,8 +207,26 @@ def verdicts(scores: Scores) -> list[Verdict]:
     return out
 
 
-def _against(trivial_baseline: TrivialScore, words: str, dve: VelocityScore) -> Verdict:
-    closer, straighter = dve.l2 < trivial_baseline.l2, dve.cos_sim > trivial_baseline.cos_sim
+class Closeness(NamedTuple):
+    """How close velocities are to the true ones."""
+
+    l2: float
+    cos_sim: float
+
+    def better_than(self, other: Closeness) -> tuple[bool, bool]:
+        """Return whether they are closer, and whether their directions agree better."""
+        return self.l2 < other.l2, self.cos_sim > other.cos_sim
+
+
+def _defined(score: Agreement | EveFigures | ClipScore | None) -> Closeness | None:
+    """Return both figures; None where one is not defined."""
+    if score is None or score.l2 is None or score.cos_sim is None:
+        return None
+    return Closeness(score.l2, score.cos_sim)
+
+
+def _against(trivial_baseline: Closeness, words: str, dve: Closeness) -> Verdict:
+    closer, straighter = dve.better_than(trivial_baseline)
     return Verdict(
         closer and straighter,
         f"{OUTCOMES[closer, straighter]} {words}: L2 {dve.l2:.3f} against {trivial_baseline.l2:.3f}, "

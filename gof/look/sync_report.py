@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from gof.capture.aligned import AlignedFrames, align
-from gof.capture.times import FrameTimesFile, SyncedVideo
+from gof.capture.times import FrameTimesFile, SyncedVideo, VideoTimes
 from gof.capture.warnings import missing_frames
 from gof.core.files import atomic_path
 from gof.footage.videos import stored_frames
@@ -50,18 +50,18 @@ def write_report(path: Path, take: FrameTimesFile, charts: Mapping[str, Chart]) 
     Raises GofError as `align`.
     """
     alignment = align(take.cameras)
-    timed = [c for c in take.cameras if c.times]
-    moments = {c.name: look(c, alignment) for c in timed}
+    timed = [(c, c.times) for c in take.cameras if c.times]
+    moments = {c.name: look(c, times, alignment) for c, times in timed}
     speed = max(m.speed for m in moments.values())
-    sigma = {c.name: max(f.sigma_us for f in c.times.frames) / 1000 for c in timed}
-    worst = max(sigma, key=sigma.get)
-    estimated = [c.name for c in timed if c.times.clock != "board"]
+    sigma = {c.name: max(f.sigma_us for f in times.frames) / 1000 for c, times in timed}
+    worst = max(sigma, key=lambda name: sigma[name])
+    estimated = [c.name for c, times in timed if times.clock != "board"]
     said = verdict(worst, sigma[worst], speed, alignment, estimated)
     page = template("sync_report.html").render(
         verdict=said,
         warned=sigma[worst] * speed > BLUR_PX or bool(estimated),
         strip=data_uri(strip(moments)[..., ::-1], "png"),
-        rows=[_row(c, sigma[c.name], speed) for c in timed],
+        rows=[_row(c.name, times, sigma[c.name], speed) for c, times in timed],
         warnings=take.warnings,
         residuals=[(name, chart.svg()) for name, chart in charts.items() if name in sigma],
     )
@@ -91,10 +91,9 @@ def _short(value: float) -> str:
     return f"{value:.2f}" if value >= 0.1 else f"{value:.2g}"
 
 
-def _row(camera: SyncedVideo, sigma_ms: float, speed: float) -> dict[str, str]:
-    times = camera.times
+def _row(name: str, times: VideoTimes, sigma_ms: float, speed: float) -> dict[str, str]:
     return {
-        "name": camera.name,
+        "name": name,
         "clock": "read from the board" if times.clock == "board" else "ESTIMATED from the flame",
         "sigma": _short(sigma_ms),
         "motion": _short(sigma_ms * speed) if speed else "no flame seen",
@@ -103,11 +102,11 @@ def _row(camera: SyncedVideo, sigma_ms: float, speed: float) -> dict[str, str]:
     }
 
 
-def look(camera: SyncedVideo, alignment: AlignedFrames) -> FramesAround:
+def look(camera: SyncedVideo, times: VideoTimes, alignment: AlignedFrames) -> FramesAround:
     """Read the frames of one camera around the middle of what all cameras filmed, and at other moments its flame's
     speed."""
     chosen = alignment.frames[camera.name]
-    last = len(camera.times.frames) - 1
+    last = len(times.frames) - 1
     at = np.linspace(0, len(chosen) - 1, MOMENTS + 2).astype(int)[1:-1]
     middle = at[len(at) // 2]
     first = next(iter(alignment.frames.values()))
@@ -116,9 +115,9 @@ def look(camera: SyncedVideo, alignment: AlignedFrames) -> FramesAround:
     wanted = {before, *(k for pair in pairs for k in pair)}
     frames = {k: f for k, f in enumerate(_until(Path(camera.video), max(wanted))) if k in wanted}
     grey = np.stack([f.max(2) for f in frames.values()])
-    time_ms = [1e3 * (f.time_s - alignment.time_s[middle]) for f in camera.times.frames]
+    time_ms = [1e3 * (f.time_s - alignment.time_s[middle]) for f in times.frames]
     per_frame = [motion(frames[a], frames[b]) for a, b in pairs if a < b]
-    speed = max(per_frame, default=0.0) / (1e-3 * camera.times.frame_interval_us)
+    speed = max(per_frame, default=0.0) / (1e-3 * times.frame_interval_us)
     after = int(chosen[middle])
     return FramesAround(
         frames[before], frames[after], time_ms[before], time_ms[after], speed, grey.max(0).astype(int) - grey.min(0)
@@ -140,8 +139,9 @@ def motion(a: np.ndarray, b: np.ndarray) -> float:
     burns = cv2.subtract(a[..., 0], a[..., 2]) > FIRE
     if burns.sum() < 100:
         return 0.0
-    flow = cv2.DISOpticalFlow_create(cv2.DISOPTICAL_FLOW_PRESET_MEDIUM).calc(
-        cv2.cvtColor(a, cv2.COLOR_RGB2GRAY), cv2.cvtColor(b, cv2.COLOR_RGB2GRAY), None
+    at_rest = np.zeros((*a.shape[:2], 2), np.float32)
+    flow = cv2.DISOpticalFlow.create(cv2.DISOPTICAL_FLOW_PRESET_MEDIUM).calc(
+        cv2.cvtColor(a, cv2.COLOR_RGB2GRAY), cv2.cvtColor(b, cv2.COLOR_RGB2GRAY), at_rest
     )
     return float(np.percentile(np.linalg.norm(flow, axis=2)[burns], FAST))
 
@@ -173,9 +173,10 @@ def _box(changes: np.ndarray) -> tuple[slice, slice]:
     spots = cv2.medianBlur((changes > MOVES).astype(np.uint8), 5) > 0
     if not spots.any():
         return slice(None), slice(None)
-    box = []
-    for axis in (1, 0):
-        seen = np.flatnonzero(spots.any(axis))
-        margin = 20
-        box.append(slice(max(0, int(seen[0]) - margin), int(seen[-1]) + margin))
-    return tuple(box)
+    rows, columns = (_with_margin(np.flatnonzero(spots.any(axis))) for axis in (1, 0))
+    return rows, columns
+
+
+def _with_margin(seen: np.ndarray, margin: int = 20) -> slice:
+    """Return the slice from the first to the last of these numbers, with a margin, px."""
+    return slice(max(0, int(seen[0]) - margin), int(seen[-1]) + margin)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -85,7 +85,7 @@ def facts(rows: Sequence[Row]) -> dict[str, list]:
 
 
 def _fact(tile: Tile) -> dict:
-    said = {"title": tile.title, "note": tile.note, "size": list(tile.image.shape[1::-1])}
+    said: dict[str, Any] = {"title": tile.title, "note": tile.note, "size": list(tile.image.shape[1::-1])}
     if tile.boxes:
         said["boxes"] = [list(box) for box in tile.boxes]
     if isinstance(tile.legend, Bar):

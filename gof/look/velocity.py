@@ -109,8 +109,8 @@ def draw(velocity: ScreenVelocity, longest: float, scale: int = 2) -> np.ndarray
     height, width = velocity.alpha.shape
     panel = cv2.resize(colours(velocity, longest), (scale * width, scale * height), interpolation=cv2.INTER_CUBIC)
     for tail, head in arrows(velocity, longest):
-        ends = [tuple(round(c * scale * 16) for c in end) for end in (tail.tolist(), head.tolist())]  # 1/16 px
-        cv2.arrowedLine(panel, *ends, (255, 255, 255), 1, cv2.LINE_AA, shift=4, tipLength=0.35)
+        start, end = ([round(c * scale * 16) for c in point.tolist()] for point in (tail, head))  # 1/16 px
+        cv2.arrowedLine(panel, start, end, (255, 255, 255), 1, cv2.LINE_AA, shift=4, tipLength=0.35)
     return panel
 
 

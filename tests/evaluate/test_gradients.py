@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 
 from gof.core.fields import VelocityField, VelocitySequence
-from gof.evaluate.emission import FlameGrid, curl, gradient, score_gradients, six_sides
+from gof.evaluate.emission import FlameGrid
+from gof.evaluate.eve import curl, gradient, score_gradients, six_sides
 from tests.evaluate.analytic import make_gaussians
 from tests.evaluate.test_emission import CELLS, TIMES, TO_WORLD, cloud, write_grid
 

@@ -10,6 +10,7 @@ from __future__ import annotations
 import json
 import threading
 from collections.abc import Mapping
+from email.message import Message
 from http import HTTPStatus
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
@@ -87,7 +88,9 @@ class Live:
     def _state(self, time_s: float) -> TransientGaussians:
         """Return the result itself, where its motion is a closed form; else its Gaussians at a time that it knows."""
         gaussians = self._opened.gaussians
-        return gaussians.state_at(float(np.clip(time_s, *gaussians.covered_s))) if self._sampled else gaussians
+        if isinstance(gaussians, TransientGaussians):
+            return gaussians
+        return gaussians.state_at(float(np.clip(time_s, *gaussians.covered_s)))
 
     def _shown(self) -> dict[str, Any]:
         """Return all that changes with the result."""
@@ -163,7 +166,7 @@ class _Server(ThreadingHTTPServer):
         """Say nothing of a page that was closed while it was answered."""
 
 
-def is_own_page(headers: Mapping[str, str]) -> bool:
+def is_own_page(headers: Mapping[str, str] | Message) -> bool:
     """Return whether a request is one of a page of ours, under any port that leads here, or of no browser."""
     try:
         asked = urlsplit(f"//{headers.get('Host', '')}")

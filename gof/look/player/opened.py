@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Generic, TypeVar
 
 import numpy as np
 
@@ -12,17 +13,19 @@ from gof.core.gaussians import MovingGaussians, TransientGaussians
 from gof.dataset import Dataset
 from gof.io.importers import ImportOptions, read_result
 
+G = TypeVar("G", bound=MovingGaussians)
+
 VISIBLE = 1 / 255  # opacity below which a Gaussian changes no 8-bit picture
 
 
 @dataclass(frozen=True)
-class Opened:
+class Opened(Generic[G]):
     """One result to show: what people call it, the importer that read it, and the file it was read from."""
 
     name: str
     method: str
     path: Path
-    gaussians: MovingGaussians
+    gaussians: G
     flame_only: bool = False
 
 
@@ -45,7 +48,9 @@ def newest(path: Path) -> Path:
     )
 
 
-def open_result(path: Path, options: ImportOptions | None = None, name: str | None = None) -> Opened:
+def open_result(
+    path: Path, options: ImportOptions | None = None, name: str | None = None
+) -> Opened[TransientGaussians]:
     """Read a result whose motion is a closed form.
 
     Args:
@@ -54,15 +59,16 @@ def open_result(path: Path, options: ImportOptions | None = None, name: str | No
         DataFormatError: unknown or damaged, sampled in time, or empty.
     """
     result = open_moving(path, options, name)
-    if not isinstance(result.gaussians, TransientGaussians):
+    gaussians = result.gaussians
+    if not isinstance(gaussians, TransientGaussians):
         raise DataFormatError(
             f"{path}: positions sampled in time; a page moves Gaussians by x0 + (t - t_mu) v. `gof view` and "
             "`gof video` show such a result"
         )
-    return result
+    return Opened(result.name, result.method, result.path, gaussians, result.flame_only)
 
 
-def open_moving(path: Path, options: ImportOptions | None = None, name: str | None = None) -> Opened:
+def open_moving(path: Path, options: ImportOptions | None = None, name: str | None = None) -> Opened[MovingGaussians]:
     """Read a result of any method, also one that is sampled in time; see `open_result`."""
     imported = read_result(newest(path), options)
     if not len(imported.gaussians):

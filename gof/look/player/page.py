@@ -27,7 +27,7 @@ from gof.dataset.plates import background
 from gof.look.images import PLATE_QUALITY, PLATE_SIDE, VIRIDIS, base64_text, frames_within, ramp, webp
 from gof.look.pages import template
 from gof.look.player import legend
-from gof.look.player.opened import Opened, middle_of, time_span
+from gof.look.player.opened import G, Opened, middle_of, time_span
 from gof.look.player.quantise import Agreement, Packed, measure, pack, unpack
 
 PLAYER = Path(__file__).parent
@@ -112,8 +112,9 @@ class PageSetting:
 
     def truth_at(self, gaussians: TransientGaussians) -> np.ndarray | None:
         """Return the true velocity (N, 3) m/s at the Gaussians, None where it is not known."""
-        known = self.dataset is not None and self.dataset.has_velocity
-        return true_velocity(gaussians, self.dataset.velocity) if known else None
+        if self.dataset is None or not self.dataset.has_velocity:
+            return None
+        return true_velocity(gaussians, self.dataset.velocity)
 
 
 def scales(states: Sequence[TransientGaussians], truths: Sequence[np.ndarray | None]) -> dict[str, Any]:
@@ -133,7 +134,7 @@ def packed_result(name: str, packed: Packed) -> dict[str, Any]:
 
 
 def share_page(
-    results: list[Opened],
+    results: list[Opened[TransientGaussians]],
     out: Path,
     dataset: Dataset | None = None,
     title: str | None = None,
@@ -185,7 +186,7 @@ def title_of(results: Sequence[Opened], dataset: Dataset | None) -> str:
     return results[0].name if dataset is None else dataset.description.name
 
 
-def measured_alike(results: list[Opened], dataset: Dataset | None) -> list[Opened]:
+def measured_alike(results: list[Opened[G]], dataset: Dataset | None) -> list[Opened[G]]:
     """Return all, measured from the dataset's datum; without one, from the first result's."""
     first = results[0].gaussians
     own = first.datum if isinstance(first, TransientGaussians) else None  # positions over time have none
@@ -223,7 +224,8 @@ def front_camera(middle: np.ndarray, reach: float) -> Camera:
     rows = np.array([[1.0, 0, 0], [0, 0, -1.0], [0, 1.0, 0]])
     pose = np.eye(4)
     pose[:3, :3], pose[:3, 3] = rows, -rows @ eye
-    return Camera("front", width, height, [[focal, 0, width / 2], [0, focal, height / 2], [0, 0, 1]], pose)
+    K = np.array([[focal, 0, width / 2], [0, focal, height / 2], [0, 0, 1]])
+    return Camera("front", width, height, K, pose)
 
 
 def true_velocity(gaussians: TransientGaussians, truth: VelocitySequence) -> np.ndarray:
