@@ -16,7 +16,7 @@ import tempfile
 from pathlib import Path
 
 from tools import references
-from tools.evidence import wrong_quotes
+from tools.evidence import ALONE, caption, wrong_quotes
 
 ROOT = Path(__file__).resolve().parents[1]
 CONFIG = ROOT / "tools" / "site.yml"
@@ -51,6 +51,7 @@ def stage(folder: Path) -> None:
 def page_of_site(text: str) -> str:
     """Return a page with its generated parts, without links to the notebook; pictures further down load when seen."""
     text = TO_NOTEBOOK.sub(r"\1", text)
+    text = ALONE.sub(lambda quote: f"Measured by {caption(quote[1])}.\n{{ .evidence }}", text)
     for picture in list(PICTURE.finditer(text))[:0:-1]:
         text = f"{text[: picture.end()]}{{ loading=lazy }}{text[picture.end() :]}"
     return REFERENCE + references.filled(text) if references.MARK.search(text) else text
