@@ -42,7 +42,7 @@ MEASURED = re.compile(
     r"\d ?(?:dB|ms|us|fps|frames/s|GB|MB|%|m/s|CPU s|min|h)(?![\w-])|\d s\b|(?<![\w.])\d+\.\d{2,}(?![\d.])"
 )
 CHART = re.compile(r"\]\((?:\.\./)?figures/\w+\.svg\)")
-NUMBERS_OF_NAMES = re.compile(r"`[^`]*`|Python \d[\d.]*(?: to \d[\d.]*)?|arXiv \d[\d.]*")
+NUMBERS_OF_NAMES = re.compile(r"`[^`]*`|\b(?:Python|numpy|arXiv) \d[\d.]*(?: to \d[\d.]*)?")
 FIGURE = re.compile(r"(?<![\w.])\d+(?:\.\d+)?(?![\w.]*\d)")
 
 
