@@ -50,7 +50,9 @@ NOT_MEASURED = {  # (page, heading): what its figures are
 
 @pytest.mark.checkout
 def test_measured_figures_quote_their_file():
-    bare = {(page.relative_to(ROOT).as_posix(), heading) for page in PAGES for heading in unquoted(page.read_text("utf-8"))}
+    bare = {
+        (page.relative_to(ROOT).as_posix(), heading) for page in PAGES for heading in unquoted(page.read_text("utf-8"))
+    }
     assert sorted(bare - NOT_MEASURED.keys()) == [], "quote evidence/NAME.json (tools/evidence.py), or leave them out"
     assert sorted(NOT_MEASURED.keys() - bare) == [], "no longer needed"
 

@@ -13,8 +13,8 @@ Below it stands a table, each row as a file has it, or text whose measured figur
 
     read to 4.6 us<!-- evidence: ring_accuracy / as it comes / fused times, rms error (us) -->
 
-`wrong_quotes` finds figures that no file has, `unquoted` measured figures that quote none; the site is not built with
-either, and a test fails.
+`wrong_quotes` finds figures that no file has: the site is not built with one, and a test fails. `unquoted` finds measured
+figures that quote no file, on which a test fails.
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ QUOTE = re.compile(r"<!-- evidence: (\w+(?:, \w+)*)(?: / (.+?) / (.+?))? -->")
 ALONE = re.compile(r"^<!-- evidence: (\w+(?:, \w+)*) -->$", re.MULTILINE)  # for the table or text below it
 # Figures with the unit of a measurement, scores, and charts that a script draws.
 MEASURED = re.compile(
-    r"\d ?(?:dB|ms|us|fps|frames/s|GB|MB|%|m/s|CPU s|min|h)(?![\w-])|\d s\b|(?<![\w.])\d+\.\d{2,}(?![\d.])"
+    r"\d ?(?:dB|ms|us|fps|frames/s|GB|MB|%|m/s|CPU s|min|h)(?![\w-])|\d s\b|(?<![\w.])\d+\.\d{2,}(?!\d|\.\d)"
 )
 CHART = re.compile(r"\]\((?:\.\./)?figures/\w+\.svg\)")
 NUMBERS_OF_NAMES = re.compile(r"`[^`]*`|\b(?:Python|numpy|arXiv) \d[\d.]*(?: to \d[\d.]*)?")
@@ -153,7 +153,7 @@ def unquoted(page: str) -> dict[str, list[str]]:
     """
     found: dict[str, list[str]] = {}
     heading, quoted, in_section = "", False, False
-    page = re.sub(r"^(```|~~~).*?^\1|^    .*$", "", page, flags=re.MULTILINE | re.DOTALL)
+    page = re.sub(r"^(```|~~~).*?^\1|^    [^\n]*", "", page, flags=re.MULTILINE | re.DOTALL)
     for block in re.split(r"\n\s*\n", re.sub(r"\S+<!-- evidence: \w+ / .+? -->", "", page)):
         if title := re.match(r"#+ (.*)", block):
             heading, in_section = title[1], False
@@ -192,7 +192,8 @@ def caption(names: str, folder: Path = FOLDER) -> str:
     """Return how the figures of files were made, in one line."""
     files = [read_json(folder / f"{name}.json") for name in names.split(", ")]
     return "; ".join(
-        f"`{about['command']}`, commit {about['commit']} of {about['date']}" + (f", {about['cpu']}" if about["cpu"] else "")
+        f"`{about['command']}`, commit {about['commit']} of {about['date']}"
+        + (f", {about['cpu']}" if about["cpu"] else "")
         for about in files
     )
 
@@ -205,7 +206,9 @@ def main(argv: list[str] | None = None) -> int:
     known = commands()
     parser.add_argument("names", nargs="*", metavar="NAME", help="scripts of benchmark/evidence; default: all")
     parser.add_argument("--again", action="store_true", help="run also what has its file")
-    parser.add_argument("--keep", metavar="TABLES.md", type=Path, help="keep these tables as NAME; -- COMMAND made them")
+    parser.add_argument(
+        "--keep", metavar="TABLES.md", type=Path, help="keep these tables as NAME; -- COMMAND made them"
+    )
     parser.add_argument("--commit", metavar="C", help="with --keep: of the code that made them")
     asked = parser.parse_args(words)
     if asked.keep:

@@ -10,12 +10,13 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import tyro
 
 from gof.core.errors import GofError
-from gof.evaluate.scores import Scores
+from gof.evaluate.scores import Agreement, Scores
 
 ANGLES = (0, 10, 55, 85, 100, 144)  # degrees from the nearest training camera; a view counts for the nearest of them
 
@@ -42,9 +43,9 @@ def mean(runs: Sequence[Scores], figure: Callable[[Scores], float | None], digit
     return "-" if None in values else f"{np.mean(values):.{digits}f}"
 
 
-def pair(runs: Sequence[Scores], of: Callable[[Scores], object]) -> str:
-    """Return "L2, CosSim" of a part of the scores."""
-    return f"{mean(runs, lambda s: of(s).l2)}, {mean(runs, lambda s: of(s).cos_sim)}"
+def pair(runs: Sequence[Scores], of: Callable[[Scores], Any]) -> list[str]:
+    """Return L2 and CosSim of a part of the scores, "-" where a run has no such part."""
+    return [mean(runs, lambda s, f=figure: getattr(of(s), f, None)) for figure in ("l2", "cos_sim")]
 
 
 def l2_with_spread(runs: Sequence[Scores]) -> str:
@@ -68,15 +69,15 @@ def main(argv: list[str] | None = None) -> None:
     print("| fire | L2 | CosSim | constant: L2, CosSim | mean per height: L2, CosSim | speed / true | PSNR flame |")
     print("|---|---|---|---|---|---|---|")
     for name, runs in scored.items():
-        trivial = [pair(runs, lambda s, n=n: s.trivial_baselines[n]) for n in ("constant", "height_mean")]
+        trivial = [", ".join(pair(runs, lambda s, n=n: s.trivial_baselines[n])) for n in ("constant", "height_mean")]
         ours = [l2_with_spread(runs), mean(runs, lambda s: s.dve.cos_sim), *trivial]
         print(f"| {' | '.join([name, *ours, mean(runs, lambda s: s.dve.speed_ratio, 2), mean(runs, _flame, 2)])} |")
     for name, runs in scored.items():
         rows = {
             "this reconstruction": [l2_with_spread(runs), mean(runs, lambda s: s.dve.cos_sim)],
-            "true mean velocity of each height": pair(runs, lambda s: s.trivial_baselines["height_mean"]).split(", "),
-            "this reconstruction, where the fire is": pair(runs, lambda s: s.dve.eve).split(", "),
-            "true mean of each height, where the fire is": pair(runs, _height_mean_of_eve).split(", "),
+            "true mean velocity of each height": pair(runs, lambda s: s.trivial_baselines["height_mean"]),
+            "this reconstruction, where the fire is": pair(runs, lambda s: s.dve.eve),
+            "true mean of each height, where the fire is": pair(runs, _height_mean_of_eve),
         }
         print(f"\n| {name} | L2 | CosSim |\n|---|---|---|")
         print("\n".join(f"| {row} | {' | '.join(cells)} |" for row, cells in rows.items()))
@@ -91,8 +92,8 @@ def _flame(scores: Scores) -> float | None:
     return scores.psnr_flame
 
 
-def _height_mean_of_eve(scores: Scores) -> object:
-    return scores.dve.eve.baselines["height_mean"]
+def _height_mean_of_eve(scores: Scores) -> Agreement | None:
+    return scores.dve.eve and scores.dve.eve.baselines["height_mean"]
 
 
 if __name__ == "__main__":
