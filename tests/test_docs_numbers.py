@@ -41,6 +41,7 @@ NOT_MEASURED = {  # (page, heading): what its figures are
     ("docs/reliability.md", "Memory"): LIMITS,
     ("docs/renderer.md", "Odd cases"): LIMITS,
     ("docs/renderer.md", "torch, as gsplat"): LIMITS,
+    ("docs/renderer_inside.md", "How it works"): LIMITS,
     ("docs/scores.md", "Further scores"): LIMITS,
     ("docs/scores.md", "Picture scores"): LIMITS,
     ("docs/scores.md", "The authors' six figures"): THEIRS,

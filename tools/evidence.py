@@ -13,8 +13,8 @@ Below it stands a table, each row as a file has it, or text whose measured figur
 
     read to 4.6 us<!-- evidence: ring_accuracy / as it comes / fused times, rms error (us) -->
 
-`wrong_quotes` finds figures that no file has: the site is not built with one, and a test fails. `unquoted` finds measured
-figures that quote no file, on which a test fails.
+`wrong_quotes` finds figures that no file has: the site is not built with one, and a test fails. `unquoted` finds
+measured figures that quote no file, on which a test fails.
 """
 
 from __future__ import annotations
