@@ -1,5 +1,6 @@
-"""The words of the documents: how many there are, how long sentences get, how easily tutorials read."""
+"""The words of documents and code: how many there are, how long sentences get, how easily they read."""
 
+import ast
 import re
 from pathlib import Path
 
@@ -80,3 +81,27 @@ def test_sentences_are_short():
 def test_tutorials_read_easily():
     hard = {name_of(page): round(ease(page.read_text("utf-8"))) for page in TUTORIALS}
     assert {page: value for page, value in hard.items() if value < LEAST_EASE} == {}
+
+
+def texts(path: Path) -> list[str]:
+    """All strings of a file; of those with values in them, the parts together."""
+    nodes = list(ast.walk(ast.parse(path.read_text(encoding="utf-8"))))
+    joined = [node for node in nodes if isinstance(node, ast.JoinedStr)]
+    parts = {id(part) for node in joined for part in node.values}
+    found = ["".join(part.value if isinstance(part, ast.Constant) else "{}" for part in node.values) for node in joined]
+    return found + [
+        n.value for n in nodes if isinstance(n, ast.Constant) and isinstance(n.value, str) and id(n) not in parts
+    ]
+
+
+UNCLEAR = re.compile(
+    r"^\s*(?:What|Of) |\b[Nn]obody\b|\b(?:is|are|was|were) (?:said|told(?! apart| from))\b|\b[Dd]oubts?\b(?=.* )"
+)
+
+
+@pytest.mark.parametrize("room", ["gof", "benchmark", "blender_addon"])
+def test_docstrings_and_messages_speak_plainly(room):
+    """Rule 2 of CONTRIBUTING.md, over docstrings, helps, panels and messages."""
+    files = [path for path in (ROOT / room).rglob("*.py")]
+    found = {f"{name_of(path)}: {text[:80]}" for path in files for text in texts(path) if UNCLEAR.search(text)}
+    assert len(files) > 40 and found == set()

@@ -104,7 +104,7 @@ def run(name: str, words: list[str], folder: Path = FOLDER) -> str:
 
 
 def keep(name: str, tables: str, command: str, commit: str, folder: Path = FOLDER) -> None:
-    """Write the file of figures that nothing here prints again; CPU and seconds are null, as nobody noted them."""
+    """Write the file of figures that nothing here prints again; CPU and seconds are null: unknown."""
     about = {
         "schema": SCHEMA,
         "version": VERSION,

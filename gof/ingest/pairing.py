@@ -116,7 +116,7 @@ def _first_frame(
         )
         late = f" from frame {start} of {names[0]} on" if start else ""
         board = (
-            " Was the LED board restarted between them, or is it not the one that it was read as (gof capture sync "
+            " Was the LED board restarted between them, or was another layout used to read it (gof capture sync "
             "--board, --tick-us)?"
         )
         raise GofError(

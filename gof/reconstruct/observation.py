@@ -166,7 +166,7 @@ def _unknown(picture: np.ndarray) -> np.ndarray:
 
 
 def flow_masks(flow: np.ndarray, frame_time_s: float) -> tuple[np.ndarray, np.ndarray]:
-    """Where something moves by more than `MOVING_PX` a frame, (...) bool, and the same grown (authors of the paper).
+    """Return where something moves by more than `MOVING_PX` a frame, (...) bool, and that area grown (paper's authors).
 
     Their pictures are 1280 px long; at another size or frame rate half a pixel is another speed.
 
