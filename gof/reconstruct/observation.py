@@ -233,8 +233,7 @@ def observe(
     views = [_view(dataset, c, frames, method) for c in range(len(dataset.cameras))]
     if not any(view.mask.any() for view in views):
         raise DataFormatError(
-            f"{dataset.path}: no flame found in any training frame (nothing rises above the static plates)",
-            anchor="no-flame-found-in-any-training-frame",
+            f"{dataset.path}: no flame found in any training frame (nothing rises above the static plates)"
         )
     cameras = list(dataset.cameras)
     velocity_at = checked_velocity(flow, max_error_px) if method.flow_of_light else velocity_ahead(flow)
