@@ -24,6 +24,7 @@ import datetime
 import re
 import subprocess
 import sys
+import textwrap
 import time
 from pathlib import Path
 
@@ -190,12 +191,13 @@ def _plain(cell: str) -> str:
 
 def caption(names: str, folder: Path = FOLDER) -> str:
     """Return how the figures of files were made, in one line."""
-    files = [read_json(folder / f"{name}.json") for name in names.split(", ")]
-    return "; ".join(
-        f"`{about['command']}`, commit {about['commit']} of {about['date']}"
-        + (f", {about['cpu']}" if about["cpu"] else "")
-        for about in files
-    )
+    made = []
+    for name in names.split(", "):
+        about = read_json(folder / f"{name}.json")
+        command = textwrap.shorten(about["command"], 90, placeholder=" ...")
+        origin = f"commit {about['commit']} of {about['date']}"
+        made.append(", ".join(filter(None, (f"`{command}`", origin, about["cpu"]))))
+    return "; ".join(made)
 
 
 def main(argv: list[str] | None = None) -> int:
