@@ -27,7 +27,7 @@ PICTURE = re.compile(r"!\[[^]]*\]\([^)]+\)")
 TO_NOTEBOOK = re.compile(r"\[([^][]+)\]\((?:\.\./)*notebook/[^)\s]+\)")
 REFERENCE = "---\nsearch: {boost: 4}\n---\n"  # found before pages that only mention a field or an option
 GLOSSARY = "docs/conventions.md"
-TERM = re.compile(r"^\| ([^|`]+?) \| ([^|]+?) \|$", re.MULTILINE)
+TERM = re.compile(r"^\| (?!term )([^|`]+?) \| ([^|]+?) \|$", re.MULTILINE)
 EVERYDAY = {"around", "axis", "board", "dev, test", "domain", "eval", "layout", "pace", "seeds", "skill"}  # also words
 # Parts of a page where no link may stand: code, headings, links and pictures, comments, heads of tables.
 FIXED = re.compile(
@@ -60,8 +60,7 @@ def stage(folder: Path) -> None:
 def terms() -> dict[str, str]:
     """Return the glossary: terms and what they mean, longer ones first."""
     table = (ROOT / GLOSSARY).read_text("utf-8").partition("## Glossary")[2]
-    found = {term: meaning for term, meaning in TERM.findall(table) if term != "term"}
-    return dict(sorted(found.items(), key=lambda row: -len(row[0])))
+    return dict(sorted(TERM.findall(table), key=lambda row: -len(row[0])))
 
 
 def with_terms(page: str, path: str) -> str:
