@@ -75,9 +75,9 @@ def main(argv: list[str] | None = None) -> None:
     for name, runs in scored.items():
         rows = {
             "this reconstruction": [l2_with_spread(runs), mean(runs, lambda s: s.dve.cos_sim)],
-            "true mean velocity of each height": pair(runs, lambda s: s.trivial_baselines["height_mean"]),
+            "trivial baseline: true mean of each height": pair(runs, lambda s: s.trivial_baselines["height_mean"]),
             "this reconstruction, where the fire is": pair(runs, lambda s: s.dve.eve),
-            "true mean of each height, where the fire is": pair(runs, _height_mean_of_eve),
+            "that baseline, where the fire is": pair(runs, _height_mean_of_eve),
         }
         print(f"\n| {name} | L2 | CosSim |\n|---|---|---|")
         print("\n".join(f"| {row} | {' | '.join(cells)} |" for row, cells in rows.items()))
