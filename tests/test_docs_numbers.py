@@ -1,99 +1,61 @@
-"""Numbers of the documents: whoever shows measured ones names beside them the command, or the test, that gives them.
+"""Measured figures of the documents stand in a file of evidence, which the page quotes (tools/evidence.py).
 
-The slow part runs the named evidence scripts at toy size: what a page tells a reader to run does run.
+The slow part runs the evidence scripts at toy size: what a page tells a reader to run does run.
 """
 
 import os
 import re
 import subprocess
 import sys
-from pathlib import Path
-from typing import NamedTuple
 
 import pytest
 
 from tests.reconstruct.rising_flame import reconstruct, write_flame
 from tests.test_docs import ROOT, evidence_scripts, modules_run_by
+from tools.evidence import unquoted
 
 PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md"))]
 
-# Figures with a unit of measurements, scores, and charts that a script draws.
-MEASURED = re.compile(r"\d ?(?:dB|ms|us|fps|frames/s|GB|MB|%|m/s|CPU s)(?![\w-])|\d s\b|\d\.\d\d|\bfigures/\w+\.svg")
-COMMAND = re.compile(
-    r"\bpython -m (?:gof_benchmark|tests)[\w.]+|(?:`|^)gof [a-z]\w*|(?:`|^)make \w+|\btest_\w+", re.MULTILINE
-)
-
+BOARD, LIMITS, THEIRS = "the board's protocol", "limits of the program", "figures that their authors publish"
 NOT_MEASURED = {  # (page, heading): what its figures are
-    ("docs/capture.md", "How it tells the time"): "the board's protocol",
-    ("docs/formats.md", "Velocity store and grids"): "an example file",
-    ("docs/how_real.md", "What real fires do"): "laws from the literature",
-    ("docs/renderer.md", "Dr.Jit arrays"): "an example",
-    ("docs/renderer.md", "torch, as gsplat"): "limits of the functions",
-    ("docs/renderer_inside.md", "How it works"): "limits of the functions",
+    ("docs/baselines.md", "4DGS of Wu"): LIMITS,
+    ("docs/benchmark.md", "How the board ranks"): LIMITS,
+    ("docs/benchmark.md", "What is checked"): LIMITS,
+    ("docs/capture.md", "A RocSync board"): BOARD,
+    ("docs/capture.md", "Filming"): BOARD,
+    ("docs/capture.md", "How it tells the time"): BOARD,
+    ("docs/capture.md", "The LED board: film, synchronise, calibrate"): BOARD,
+    ("docs/capture.md", "When a take is not in order"): LIMITS,
+    ("docs/capture_board.md", "Mount it"): BOARD,
+    ("docs/effects.md", "The sync board"): BOARD,
+    ("docs/formats.md", "Motion of pixels"): LIMITS,
+    ("docs/formats.md", "OpenUSD"): "a version",
+    ("docs/how_real.md", "What real fires do"): THEIRS,
+    ("docs/importers.md", "My own method"): "an example",
+    ("docs/ingest.md", "Difficult footage: `gof ingest`"): LIMITS,
+    ("docs/ingest.md", "Everyday footage"): LIMITS,
+    ("docs/ingest.md", "The authors' 17 scenes"): THEIRS,
+    ("docs/paper.md", "The paper's method here"): THEIRS,
+    ("docs/paper.md", "What is public"): THEIRS,
+    ("docs/reliability.md", "Cameras, clocks and backgrounds that cannot be right"): LIMITS,
+    ("docs/reliability.md", "Memory"): LIMITS,
+    ("docs/renderer.md", "Odd cases"): LIMITS,
+    ("docs/renderer.md", "torch, as gsplat"): LIMITS,
+    ("docs/renderer_inside.md", "How it works"): LIMITS,
+    ("docs/scores.md", "Further scores"): LIMITS,
+    ("docs/scores.md", "Picture scores"): LIMITS,
+    ("docs/scores.md", "The authors' six figures"): THEIRS,
+    ("docs/tutorials/score.md", "3 Score it"): "of the output above it",
 }
 
 
-class Section(NamedTuple):
-    """A heading, the text below it to the next one, and the text of the headings that it stands under."""
-
-    page: str
-    heading: str
-    text: str
-    above: str
-
-    @property
-    def shows_measurements(self) -> bool:
-        return bool(MEASURED.search(self.text))
-
-    @property
-    def names_command(self) -> bool:
-        return bool(COMMAND.search(self.heading + "\n" + self.text) or COMMAND.search(self.above))
-
-
-def sections(page: Path) -> list[Section]:
-    """All sections of a page; the page's own title is above none of them."""
-    name, found, open_ = page.relative_to(ROOT).as_posix(), [], []
-    fenced = False
-    for line in page.read_text(encoding="utf-8").splitlines():
-        fenced ^= line.startswith("```")
-        heading = None if fenced else re.match(r"(#+) (.*)", line)
-        if heading:
-            level = len(heading[1])
-            open_ = [part for part in open_ if part[0] < level]
-            open_.append([level, heading[2], ""])
-            found.append([open_[-1], [part for part in open_[:-1] if part[0] > 1]])
-        elif open_:
-            open_[-1][2] += line + "\n"
-    return [Section(name, part[1], part[2], "\n".join(f"{p[1]}\n{p[2]}" for p in parents)) for part, parents in found]
-
-
-SECTIONS = [section for page in PAGES for section in sections(page)]
-
-
-def test_sections_are_told_apart(tmp_path, monkeypatch):
-    page = tmp_path / "page.md"
-    page.write_text("# T\n`gof view`\n## A\n1.5 dB\n### B\n12 ms\n```\n# no heading\n```\n## C by `gof report`\n0.25\n")
-    monkeypatch.setattr(sys.modules[__name__], "ROOT", tmp_path)
-    title, a, b, c = sections(page)
-    assert [s.heading for s in (title, a, b, c)] == ["T", "A", "B", "C by `gof report`"]
-    assert not title.shows_measurements and title.names_command
-    assert a.shows_measurements and not a.names_command, "the title's command is nobody else's"
-    assert "# no heading" in b.text and b.shows_measurements and not b.names_command
-    assert c.shows_measurements and c.names_command
-    assert not b._replace(text="three dB, 2.5 flames").shows_measurements
-
-
 @pytest.mark.checkout
-def test_measured_numbers_name_what_prints_them():
-    bare = {(s.page, s.heading) for s in SECTIONS if s.shows_measurements and not s.names_command}
-    assert sorted(bare - NOT_MEASURED.keys()) == [], "name the command, or the test, beside the figures"
-
-
-@pytest.mark.checkout
-def test_the_list_of_other_numbers_is_short_and_needed():
-    bare = {(s.page, s.heading) for s in SECTIONS if s.shows_measurements and not s.names_command}
-    assert NOT_MEASURED.keys() - bare == set(), "no longer needed"
-    assert len(NOT_MEASURED) <= 12
+def test_measured_figures_quote_their_file():
+    bare = {
+        (page.relative_to(ROOT).as_posix(), heading) for page in PAGES for heading in unquoted(page.read_text("utf-8"))
+    }
+    assert sorted(bare - NOT_MEASURED.keys()) == [], "quote evidence/NAME.json (tools/evidence.py), or leave them out"
+    assert sorted(NOT_MEASURED.keys() - bare) == [], "no longer needed"
 
 
 # ---------------------------------------------------------------- the scripts run
@@ -148,6 +110,7 @@ NOT_AT_TOY_SIZE = {
     "render_gpu": "needs an NVIDIA GPU",
     "render_opensplat": "compiles a library that users bring",
     "rise_speed": "so few pixels and frames have no bright structures that climb",
+    "run_scores": "reads finished scores; checks/test_run_scores.py tests its figures",
     "share_player": "needs Chromium",
     "tomography": "needs the true light of a generated dataset",
 }

@@ -12,6 +12,7 @@ import pytest
 
 from tests.browser import Browser, chromium
 from tests.reader import TUTORIALS, run
+from tools.site import terms, with_terms
 
 ROOT = Path(__file__).parents[1]
 BLOCK = re.compile(r"^```(bash|python|text)\n(.*?)^```", re.MULTILINE | re.DOTALL)
@@ -24,6 +25,23 @@ def test_every_page_is_in_the_navigation_once():
     pages = [str(path.relative_to(ROOT)) for path in sorted((ROOT / "docs").rglob("*.md"))]
     assert sorted(page for page in NAV if page.startswith("docs/")) == pages
     assert all((ROOT / page).is_file() for page in NAV)
+
+
+def test_the_first_use_of_a_term_leads_to_the_glossary_and_no_other_place_does():
+    page = "# A plate\n\n`plate`, [plate](x.md)\n\n| plate | a |\n|---|---|\n| Plates | plate |\n\nDve, DVE.\n"
+    linked = with_terms(page, "docs/tutorials/x.md")
+    assert re.findall(r"\[([^]]+)\]\(\.\./conventions\.md#([\w-]+) ", linked) == [
+        ("Plates", "term-plate"),
+        ("DVE", "term-dve"),
+    ]
+    assert "# A plate\n\n`plate`, [plate](x.md)\n\n| plate | a |" in linked
+    assert with_terms("A plate.", "benchmark/fires/README.md") == "A plate."
+
+
+def test_the_glossary_has_forty_terms_with_anchors():
+    page = with_terms((ROOT / "docs/conventions.md").read_text(encoding="utf-8"), "docs/conventions.md")
+    assert len(terms()) >= 40 and all(len(meaning.split()) > 3 for meaning in terms().values())
+    assert len(set(re.findall(r'<span id="(term-[\w-]+)">', page))) == len(terms())
 
 
 @pytest.fixture(scope="module")

@@ -1,5 +1,6 @@
-"""The words of the documents: how many there are, how long sentences get, how easily tutorials read."""
+"""The words of documents and code: how many there are, how long sentences get, how easily they read."""
 
+import ast
 import re
 from pathlib import Path
 
@@ -10,6 +11,7 @@ PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md"))]
 TUTORIALS = sorted((ROOT / "docs/tutorials").glob("*.md"))
 
 MOST_WORDS = 30_000  # of README and docs/ together, as wc counts them. It may only fall
+OF_README = 450  # likewise
 LONGEST = 35  # words of a sentence
 LEAST_EASE = 60  # Flesch's reading ease of a tutorial
 
@@ -69,6 +71,7 @@ def test_ease_is_that_of_the_formula():
 def test_the_documents_do_not_grow():
     count = sum(len(page.read_text(encoding="utf-8").split()) for page in PAGES)
     assert count <= MOST_WORDS, f"{count} words; write less elsewhere"
+    assert len((ROOT / "README.md").read_text(encoding="utf-8").split()) <= OF_README
 
 
 def test_sentences_are_short():
@@ -80,3 +83,27 @@ def test_sentences_are_short():
 def test_tutorials_read_easily():
     hard = {name_of(page): round(ease(page.read_text("utf-8"))) for page in TUTORIALS}
     assert {page: value for page, value in hard.items() if value < LEAST_EASE} == {}
+
+
+def texts(path: Path) -> list[str]:
+    """All strings of a file; of those with values in them, the parts together."""
+    nodes = list(ast.walk(ast.parse(path.read_text(encoding="utf-8"))))
+    joined = [node for node in nodes if isinstance(node, ast.JoinedStr)]
+    parts = {id(part) for node in joined for part in node.values}
+    found = ["".join(part.value if isinstance(part, ast.Constant) else "{}" for part in node.values) for node in joined]
+    return found + [
+        n.value for n in nodes if isinstance(n, ast.Constant) and isinstance(n.value, str) and id(n) not in parts
+    ]
+
+
+UNCLEAR = re.compile(
+    r"^\s*(?:What|Of) |\b[Nn]obody\b|\b(?:is|are|was|were) (?:said|told(?! apart| from))\b|\b[Dd]oubts?\b(?=.* )"
+)
+
+
+@pytest.mark.parametrize("room", ["gof", "benchmark", "blender_addon"])
+def test_docstrings_and_messages_speak_plainly(room):
+    """Rule 2 of CONTRIBUTING.md, over docstrings, helps, panels and messages."""
+    files = [path for path in (ROOT / room).rglob("*.py")]
+    found = {f"{name_of(path)}: {text[:80]}" for path in files for text in texts(path) if UNCLEAR.search(text)}
+    assert len(files) > 40 and found == set()

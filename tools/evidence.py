@@ -4,12 +4,17 @@ Each script's figures go to evidence/NAME.json, with command, commit, date, CPU 
 there is kept. Without names, all scripts run that need no dataset; the others are listed with what they need. A
 single one can have words of its own: python -m tools.evidence choices -- data/fire --only ours
 
-A page quotes a figure by a comment behind it, which a code host and the site both hide:
+Figures of runs that take hours, or were made elsewhere, are kept: `--keep TABLES.md --commit C NAME -- COMMAND` puts
+the tables of a Markdown file into evidence/NAME.json with the command that made them and the commit's date.
+
+A page quotes figures below a comment on a line of its own, which a code host hides and the site turns into a line that
+says command, commit, date and CPU: <!-- evidence: ring_accuracy --> or, of several files, <!-- evidence: a, b -->
+Below it stands a table, each row as a file has it, or text whose measured figures all stand in a file. A single figure:
 
     read to 4.6 us<!-- evidence: ring_accuracy / as it comes / fused times, rms error (us) -->
 
-or has rows of a script's table below such a comment on a line of its own: <!-- evidence: ring_accuracy -->
-`wrong_quotes` finds figures and rows that no file has; the site is not built with one, and a test fails.
+`wrong_quotes` finds figures that no file has: the site is not built with one, and a test fails. `unquoted` finds
+measured figures that quote no file, on which a test fails.
 """
 
 from __future__ import annotations
@@ -19,6 +24,7 @@ import datetime
 import re
 import subprocess
 import sys
+import textwrap
 import time
 from pathlib import Path
 
@@ -30,7 +36,15 @@ TABLE = ROOT / "benchmark" / "evidence" / "README.md"
 FOLDER = ROOT / "evidence"
 SCHEMA, VERSION = "gof-evidence", 1
 COMMAND = re.compile(r"\| `python -m gof_benchmark\.evidence\.(\w+)([^`]*)`([^|]*)\|")
-QUOTE = re.compile(r"<!-- evidence: (\w+)(?: / (.+?) / (.+?))? -->")
+QUOTE = re.compile(r"<!-- evidence: (\w+(?:, \w+)*)(?: / (.+?) / (.+?))? -->")
+ALONE = re.compile(r"^<!-- evidence: (\w+(?:, \w+)*) -->$", re.MULTILINE)  # for the table or text below it
+# Figures with the unit of a measurement, scores, and charts that a script draws.
+MEASURED = re.compile(
+    r"\d ?(?:dB|ms|us|fps|frames/s|GB|MB|%|m/s|CPU s|min|h)(?![\w-])|\d s\b|(?<![\w.])\d+\.\d{2,}(?!\d|\.\d)"
+)
+CHART = re.compile(r"\]\((?:\.\./)?figures/\w+\.svg\)")
+NUMBERS_OF_NAMES = re.compile(r"`[^`]*`|\b(?:Python|numpy|arXiv) \d[\d.]*(?: to \d[\d.]*)?")
+FIGURE = re.compile(r"(?<![\w.])\d+(?:\.\d+)?(?![\w.]*\d)")
 
 
 def commands() -> dict[str, tuple[list[str], str]]:
@@ -90,6 +104,20 @@ def run(name: str, words: list[str], folder: Path = FOLDER) -> str:
     return ""
 
 
+def keep(name: str, tables: str, command: str, commit: str, folder: Path = FOLDER) -> None:
+    """Write the file of figures that nothing here prints again; CPU and seconds are null: unknown."""
+    about = {
+        "schema": SCHEMA,
+        "version": VERSION,
+        "command": command,
+        "commit": commit,
+        "date": _git("show", "--no-patch", "--format=%as", commit),
+        "cpu": None,
+        "seconds": None,
+    }
+    write_json(folder / f"{name}.json", about | {"figures": tables_in(tables), "printed": tables.splitlines()})
+
+
 def _git(*words: str) -> str:
     return subprocess.run(["git", *words], cwd=ROOT, capture_output=True, text=True, check=True).stdout.strip()
 
@@ -102,28 +130,74 @@ def wrong_quotes(page: str, folder: Path = FOLDER) -> list[str]:
     """Return what a page quotes from evidence and no file says, one line each."""
     wrong = []
     for quote in QUOTE.finditer(page):
-        name, row, column = quote.groups()
-        file = folder / f"{name}.json"
-        if not file.is_file():
-            wrong.append(f"{quote[0]}: there is no {file.name}; make evidence ARGS={name} writes it")
+        names, row, column = quote.groups()
+        files = [folder / f"{name}.json" for name in names.split(", ")]
+        if absent := [file.name for file in files if not file.is_file()]:
+            wrong.append(f"{quote[0]}: there is no {absent[0]}; make evidence ARGS={absent[0][:-5]} writes it")
         elif row is None:
-            wrong += _strange_rows(page[quote.end() :], read_json(file)["printed"], file.name)
+            printed = [line for file in files for line in read_json(file)["printed"]]
+            wrong += _strange_figures(_block_after(page[quote.end() :]), printed, names)
         else:
-            cell = read_json(file)["figures"].get(row, {}).get(column)
+            cell = read_json(files[0])["figures"].get(row, {}).get(column)
             before = page[: quote.start()].rstrip(" *`")
             if cell is None:
-                wrong.append(f"{quote[0]}: {file.name} has no such row and column")
+                wrong.append(f"{quote[0]}: {files[0].name} has no such row and column")
             elif not re.search(rf"(?<![\w.]){re.escape(cell)}$", before):
-                wrong.append(f"{quote[0]}: {file.name} says {cell}, the page ...{before[-20:]}")
+                wrong.append(f"{quote[0]}: {files[0].name} says {cell}, the page ...{before[-20:]}")
     return wrong
 
 
-def _strange_rows(after: str, printed: list[str], name: str) -> list[str]:
-    rows = [row for table in _tables("\n".join(printed)) for row in table[1:]]
-    shown = next(iter(_tables(after.lstrip("\n").split("\n\n")[0])), [])
+def unquoted(page: str) -> dict[str, list[str]]:
+    """Return the parts of a page that show measured figures and quote no file of evidence, by the heading above them.
+
+    Code, links, and figures with a quote behind them are left out. A chart stands below the quote of its section.
+    """
+    found: dict[str, list[str]] = {}
+    heading, quoted, in_section = "", False, False
+    page = re.sub(r"^(```|~~~).*?^\1|^    [^\n]*", "", page, flags=re.MULTILINE | re.DOTALL)
+    for block in re.split(r"\n\s*\n", re.sub(r"\S+<!-- evidence: \w+ / .+? -->", "", page)):
+        if title := re.match(r"#+ (.*)", block):
+            heading, in_section = title[1], False
+        text = re.sub(r"\]\([^)]*\)", "]", NUMBERS_OF_NAMES.sub("", ALONE.sub("", block)))
+        quoted = quoted or bool(ALONE.search(block))
+        in_section = in_section or quoted
+        if text.strip():
+            if (MEASURED.search(text) and not quoted) or (CHART.search(block) and not in_section):
+                found.setdefault(heading, []).append(block.strip())
+            quoted = False
+    return found
+
+
+def _block_after(text: str) -> str:
+    return text.lstrip("\n").split("\n\n")[0]
+
+
+def _strange_figures(block: str, printed: list[str], names: str) -> list[str]:
+    known = {tuple(map(_plain, row)) for table in _tables("\n".join(printed)) for row in table[1:]}
+    shown = next(iter(_tables(block)), [])
+    strange = [row for row in shown[1:] if tuple(map(_plain, row)) not in known]
+    wrong = [f"{names} has no row | {' | '.join(row)} |" for row in strange]
     if not shown:
-        return [f"no table below the comment on {name}"]
-    return [f"{name} has no row | {' | '.join(row)} |" for row in shown[1:] if row not in rows]
+        figures = set(FIGURE.findall("\n".join(printed)))
+        said = FIGURE.findall(re.sub(r"\]\([^)]*\)", "]", NUMBERS_OF_NAMES.sub("", block)))
+        wrong = [f"{names} has no figure {figure}" for figure in said if figure not in figures]
+        wrong += [] if said else [f"no figures below the comment on {names}"]
+    return wrong
+
+
+def _plain(cell: str) -> str:
+    return cell.replace("*", "")
+
+
+def caption(names: str, folder: Path = FOLDER) -> str:
+    """Return how the figures of files were made, in one line."""
+    made = []
+    for name in names.split(", "):
+        about = read_json(folder / f"{name}.json")
+        command = textwrap.shorten(about["command"], 90, placeholder=" ...")
+        origin = f"commit {about['commit']} of {about['date']}"
+        made.append(", ".join(filter(None, (f"`{command}`", origin, about["cpu"]))))
+    return "; ".join(made)
 
 
 def main(argv: list[str] | None = None) -> int:
@@ -134,7 +208,16 @@ def main(argv: list[str] | None = None) -> int:
     known = commands()
     parser.add_argument("names", nargs="*", metavar="NAME", help="scripts of benchmark/evidence; default: all")
     parser.add_argument("--again", action="store_true", help="run also what has its file")
+    parser.add_argument(
+        "--keep", metavar="TABLES.md", type=Path, help="keep these tables as NAME; -- COMMAND made them"
+    )
+    parser.add_argument("--commit", metavar="C", help="with --keep: of the code that made them")
     asked = parser.parse_args(words)
+    if asked.keep:
+        if own is None or len(asked.names) != 1 or not asked.commit:
+            parser.error("--keep wants one NAME, --commit, and the command after --")
+        keep(asked.names[0], asked.keep.read_text(encoding="utf-8"), " ".join(own), asked.commit)
+        return 0
     if unknown := set(asked.names) - set(known):
         parser.error(f"no such script: {', '.join(sorted(unknown))}; benchmark/evidence/README.md lists them")
     if own is not None and len(asked.names) != 1:

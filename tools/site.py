@@ -16,7 +16,7 @@ import tempfile
 from pathlib import Path
 
 from tools import references
-from tools.evidence import wrong_quotes
+from tools.evidence import ALONE, caption, wrong_quotes
 
 ROOT = Path(__file__).resolve().parents[1]
 CONFIG = ROOT / "tools" / "site.yml"
@@ -26,6 +26,15 @@ LINK = re.compile(r"\]\(([^)#\s]+)")
 PICTURE = re.compile(r"!\[[^]]*\]\([^)]+\)")
 TO_NOTEBOOK = re.compile(r"\[([^][]+)\]\((?:\.\./)*notebook/[^)\s]+\)")
 REFERENCE = "---\nsearch: {boost: 4}\n---\n"  # found before pages that only mention a field or an option
+GLOSSARY = "docs/conventions.md"
+TERM = re.compile(r"^\| (?!term )([^|`]+?) \| ([^|]+?) \|$", re.MULTILINE)
+EVERYDAY = {"around", "axis", "board", "dev, test", "domain", "eval", "layout", "pace", "seeds", "skill"}  # also words
+# Parts of a page where no link may stand: code, headings, links and pictures, comments, heads of tables.
+FIXED = re.compile(
+    r"^(```|~~~).*?^\1|^ {4}[^\n]*|^#[^\n]*|^\|[^\n]*\|\n(?=\|[-| :]+\|$)|`[^`]*`|!?\[[^]]*\]\([^)]*\)"
+    r"|<[^>]*>|\{[^}]*\}|\*[^*\n]+\*",
+    re.MULTILINE | re.DOTALL,
+)
 FOR_DEVELOPERS = ("architecture.md", "renderer_inside.md")
 UNSEARCHED = "---\nsearch: {exclude: true}\n---\n"  # of pages for developers, so that the index is small
 
@@ -42,15 +51,46 @@ def stage(folder: Path) -> None:
             text = path.read_text("utf-8")
             if wrong := wrong_quotes(text):
                 sys.exit("\n".join(f"{path.relative_to(ROOT)}: {line}" for line in wrong))
-            page = page_of_site(text)
+            page = page_of_site(with_terms(text, path.relative_to(ROOT).as_posix()))
             target.write_text(page if path in (*for_users, ROOT / "README.md") else UNSEARCHED + page, encoding="utf-8")
         else:
             shutil.copyfile(path, target)
 
 
+def terms() -> dict[str, str]:
+    """Return the glossary: terms and what they mean, longer ones first."""
+    table = (ROOT / GLOSSARY).read_text("utf-8").partition("## Glossary")[2]
+    return dict(sorted(TERM.findall(table), key=lambda row: -len(row[0])))
+
+
+def with_terms(page: str, path: str) -> str:
+    """Return a page whose first use of each term leads to the glossary; the glossary itself with its anchors."""
+    if path == GLOSSARY:
+        head, title, table = page.partition("## Glossary")
+        return head + title + TERM.sub(lambda row: f'| <span id="{_slug(row[1])}">{row[1]}</span> | {row[2]} |', table)
+    if not path.startswith("docs/") and path != "README.md":
+        return page
+    glossary = os.path.relpath(GLOSSARY, Path(path).parent)
+    for term, meaning in terms().items():
+        if term not in EVERYDAY:
+            word = re.compile(rf"(?<![\w-]){re.escape(term)}s?(?![\w-])", 0 if term[:1].isupper() else re.IGNORECASE)
+            spans = [span.span() for span in FIXED.finditer(page)]
+            uses = (use for use in word.finditer(page) if not any(a <= use.start() < b for a, b in spans))
+            if use := next(uses, None):
+                link = f'[{use[0]}]({glossary}#{_slug(term)} "{meaning}"){{ .term }}'
+                page = page[: use.start()] + link + page[use.end() :]
+    return page
+
+
+def _slug(term: str) -> str:
+    return "term-" + re.sub(r"\W+", "-", term.lower())
+
+
 def page_of_site(text: str) -> str:
     """Return a page with its generated parts, without links to the notebook; pictures further down load when seen."""
     text = TO_NOTEBOOK.sub(r"\1", text)
+    text = ALONE.sub(lambda quote: f"Measured by {caption(quote[1])}.\n{{ .evidence }}", text)
+    text = re.sub(r"(?<=\d) ± (?=\d)", "\u00a0±\u00a0", text)
     for picture in list(PICTURE.finditer(text))[:0:-1]:
         text = f"{text[: picture.end()]}{{ loading=lazy }}{text[picture.end() :]}"
     return REFERENCE + references.filled(text) if references.MARK.search(text) else text

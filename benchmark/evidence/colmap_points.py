@@ -4,8 +4,8 @@
 
 The rig's few cameras stand too far apart for feature matching, as in a real set-up, where a calibration clip is filmed
 with one moving camera. So the views are many more cameras on the same arc. COLMAP runs as its users run it, with its
-default pipeline, and knows nothing but the pictures; `gof.ingest.sfm`, which is told the lenses, is not what is asked
-about here.
+default pipeline, and knows nothing but the pictures; `gof.ingest.sfm`, which knows the lenses, is not
+measured here.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""What DVE's quadrature order, grid resolution, precision and Monte Carlo buy, in error and in seconds.
+"""The worth of DVE's quadrature order, grid resolution, precision and Monte Carlo, in error and in seconds.
 
     python -m gof_benchmark.evidence.dve_orders --gaussians 2000
 

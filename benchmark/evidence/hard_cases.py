@@ -107,7 +107,7 @@ def spoiled(
     cameras = [replace(c, world_to_camera=c.world_to_camera @ np.linalg.inv(pose)) for c in dataset.cameras]
     description = _every(dataset, step)
     if not metres:
-        description = replace(description, provenance=dict(description.provenance) | {"scale": "nobody knows it"})
+        description = replace(description, provenance=dict(description.provenance) | {"scale": "unknown"})
     times = np.asarray(description.time_s)
     return Spoiled(dataset.path, description, cameras, times, dataset, step, picture, plate or picture, true)
 

@@ -61,7 +61,7 @@ def commands(out: Path) -> Iterator[tuple[str, list[str]]]:
     yield "import", [result, "--dataset", data, "--out", str(out / "scene.blend")]
     yield "report", [work, "--dataset", data]
     yield "view", [result, "--dataset", data, "--port", "0"]
-    yield "pack", [data, "--licence", "CC0-1.0", "--authors", "nobody", "--out", packed]
+    yield "pack", [data, "--licence", "CC0-1.0", "--authors", "A. Author", "--out", packed]
     yield "unpack", [f"{packed}/data.tar", "--out", str(out / "unpacked")]
     yield "study score", [result, "--dataset", data]
     yield "benchmark list", []

@@ -51,7 +51,7 @@ class Neighbour:
 
 
 def traits(fire: BenchmarkFire) -> Traits:
-    """Return those of a fire of the benchmark; of OpenFOAM's from what the solver was told."""
+    """Return those of a fire of the benchmark; of OpenFOAM's from the solver's input."""
     if fire.foam is None:
         return simulated(fire.spec)
     burners = fire.foam.burners

@@ -39,7 +39,7 @@ class GOF_PG_benchmark(bpy.types.PropertyGroup):
 
     background: EnumProperty(
         name="Background",
-        description="What is around the fire",
+        description="Surroundings of the fire",
         items=[
             ("scene", "This Scene", "Everything in this scene that is visible in renders, as at the current frame"),
             *(
@@ -236,7 +236,7 @@ class GOF_OT_open_benchmark(bpy.types.Operator):
     what: EnumProperty(
         items=[
             ("report", "Report", "Pictures and costs, in the web browser"),
-            ("log", "Log", "What has happened, in a text editor"),
+            ("log", "Log", "Messages of the run, in a text editor"),
             ("folder", "Folder", "The dataset, in the file manager"),
         ]
     )

@@ -51,10 +51,15 @@ class GOF_PG_cameras(bpy.types.PropertyGroup):
         precision=3,
     )
     radius: FloatProperty(
-        name="Distance (m)", description="From the fire", default=2.8, min=0.05, soft_max=20, precision=3
+        name="Distance (m)",
+        description="Distance of the cameras from the fire",
+        default=2.8,
+        min=0.05,
+        soft_max=20,
+        precision=3,
     )
     height: FloatProperty(
-        name="Height (m)", description="Of the cameras above the place of the fire", default=0.9, precision=3
+        name="Height (m)", description="Height of the cameras above the place of the fire", default=0.9, precision=3
     )
     look_at_height: FloatProperty(
         name="Aim (m)", description="Height of the point that the cameras look at", default=0.75, precision=3
@@ -117,7 +122,7 @@ class GOF_PG_fire(bpy.types.PropertyGroup):
         name="Logs", description="How many logs, leaning on each other", default=3, min=LEAST_LOGS, max=MOST_LOGS
     )
     radius: FloatProperty(
-        name="Radius (m)", description="Of the burner", default=0.13, min=0.001, soft_max=2, precision=4
+        name="Radius (m)", description="Radius of the burner", default=0.13, min=0.001, soft_max=2, precision=4
     )
     intensity: FloatProperty(
         name="Intensity",
@@ -143,14 +148,18 @@ class GOF_PG_fire(bpy.types.PropertyGroup):
     )
     speeds: EnumProperty(
         name="Speeds",
-        description="How fast the gas is",
+        description="Speed of the gas",
         items=[
             ("physical", "Physical", "Lift and burning follow the fire's size, as in real fires"),
             ("solver", "Solver", "The solver's own constants: much too fast for fires below a metre"),
         ],
     )
     clearance: FloatProperty(
-        name="Lift (m)", description="From the place of the fire up to the burner", default=0.03, min=0, precision=4
+        name="Lift (m)",
+        description="Height of the burner above the place of the fire",
+        default=0.03,
+        min=0,
+        precision=4,
     )
     domain_size: FloatVectorProperty(
         name="Domain (m)",
@@ -162,7 +171,7 @@ class GOF_PG_fire(bpy.types.PropertyGroup):
     )
     resolution: IntProperty(
         name="Cells",
-        description="Of the simulation in this scene, along the domain's longest side. "
+        description="Cells of the simulation in this scene, along the domain's longest side. "
         "A benchmark takes those of its preset",
         default=48,
         min=8,

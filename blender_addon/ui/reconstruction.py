@@ -22,14 +22,14 @@ MODES = [
 ]
 COLORS = [
     ("image", "Image Color", "As in the footage"),
-    ("speed", "Speed", "Of the gas, m/s"),
+    ("speed", "Speed", "Speed of the gas, m/s"),
     ("age", "Age", "Seconds since its brightest moment"),
     ("lifetime", "Lifetime", "Standard deviation of its fading, s"),
     ("error", "Velocity Error", "m/s against the true velocity; score first (panel Score, Show Errors)"),
     ("uncertainty", "Velocity Uncertainty", "m/s, standard deviation of a component, where the file states it"),
 ]
 VECTORS = [
-    ("velocity", "Velocity", "Of the gas, as reconstructed"),
+    ("velocity", "Velocity", "Velocity of the gas, as reconstructed"),
     ("true velocity", "True Velocity", "At the Gaussian's centre"),
     ("error", "Error", "Reconstructed minus true"),
 ]
@@ -106,7 +106,7 @@ class GOF_OT_import_result(bpy.types.Operator, ImportHelper):
     )
     fit: bpy.props.EnumProperty(
         name="Scene",
-        description="What becomes of the scene's frame range and rate",
+        description="Change of the scene's frame range and rate",
         items=[
             ("new", "Fit If New", "Fit them to the clip if they are still those of Blender's new file"),
             ("fit", "Fit to Clip", "Fit them to the clip"),

@@ -108,7 +108,9 @@ class GOF_PT_score(SidebarPanel, bpy.types.Panel):
         layout, settings = self.layout, context.scene.gof.score
         layout.use_property_split = True
         thing = _cloud(context)
-        write_lines(layout, context, f"Of {thing.name}" if thing else "Select a reconstruction", "POINTCLOUD_DATA")
+        write_lines(
+            layout, context, f"Score of {thing.name}" if thing else "Select a reconstruction", "POINTCLOUD_DATA"
+        )
         layout.prop(settings, "dataset")
         if settings.result or (thing and not result_file.known(thing)):
             layout.prop(settings, "result")

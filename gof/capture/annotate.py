@@ -53,7 +53,9 @@ def annotate(
     made_of = list(dataset.description.provenance.get("footage", ()))
     names = [video.name for video in footage or ()]
     if names != made_of and sorted(names) == sorted(made_of):
-        raise GofError(f"--footage: the dataset was made of {', '.join(made_of)}, in this order; give them in the same")
+        raise GofError(
+            f"--footage: the dataset was made of {', '.join(made_of)}, in this order; give them in that order"
+        )
     videos = footage or [Path(camera.name) for camera in dataset.cameras]
     lenses = [camera.lens for camera in read_cameras(cameras, videos)] if cameras else [None] * count
     entries = {entry.name: entry for entry in dataset.description.cameras}

@@ -123,10 +123,7 @@ def find_clocks(config: SyncConfig) -> FrameTimesFile:
 
     result = synchronise(config.videos, board, decoding, draw, known, config.estimate, points)
     if not any(camera.times for camera in result.cameras):
-        raise GofError(
-            f"no camera could be decoded with board '{board.name}': {said_once(result)} {WAYS_OUT}",
-            anchor="no-camera-could-be-decoded",
-        )
+        raise GofError(f"no camera could be decoded with board '{board.name}': {said_once(result)} {WAYS_OUT}")
     write_record(target, result)
     for name, chart in charts.items():
         chart.write(folder / f"residuals_{name}.png")
@@ -154,8 +151,7 @@ def sync_without_board(
     except GofError as e:
         raise GofError(
             f"no camera could be decoded: {', '.join(names)}: the marker of a known LED board is not there "
-            f"({NO_MARKER}), and {e}. {WAYS_OUT}",
-            anchor="no-camera-could-be-decoded",
+            f"({NO_MARKER}), and {e}. {WAYS_OUT}"
         ) from e
     write_record(folder / FILE, result)
     clock = next(camera.times.clock for camera in result.cameras if camera.times)

@@ -139,10 +139,7 @@ def _beside(result: Path) -> Path:
     except DataFormatError as e:
         raise GofError(f"{path}: is in the way and holds no scores that can be read; give --out FOLDER") from e
     if of is None or Path(of).resolve() not in (result.resolve(), (result / "result.npz").resolve()):
-        raise GofError(
-            f"{path}: holds the scores of another result ({of or 'unknown'}); give --out FOLDER",
-            anchor="holds-the-scores-of-another-result",
-        )
+        raise GofError(f"{path}: holds the scores of another result ({of or 'unknown'}); give --out FOLDER")
     return path
 
 

@@ -236,9 +236,7 @@ def require_what_no_file_says(config: IngestConfig, argv: list[str]) -> None:
         more += ["--fov", "70"]
     if missing:
         command = shlex.join(["gof", "ingest", *argv, *more])
-        raise GofError(
-            f"no file says {'; nor '.join(missing)}. With your own numbers: {command}", anchor="no-file-says"
-        )
+        raise GofError(f"no file says {'; nor '.join(missing)}. With your own numbers: {command}")
 
 
 def _stated_rate(video: Path) -> float:

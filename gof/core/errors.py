@@ -1,10 +1,53 @@
 """Errors a user can act on. Every message names the file or parameter, what is wrong, and what to do."""
 
+import re
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
 LONGEST = 4000  # characters of a message
+
+EXPLAINED = (  # parts of messages: each is a heading of docs/troubleshooting.md
+    "libLLVM was not found",
+    'pip install "gaussians-on-fire[',
+    "bpy 4.5 needs numpy below 2",
+    "no file says",
+    "camera poses could not be solved",
+    "stand in one place",
+    "the clips differ in length",
+    "the videos do not overlap in time",
+    "the files differ in rate",
+    "has no one rate",
+    "moments some camera has no frame",
+    "breaks off",
+    "is interlaced",
+    "rotation tags differ",
+    "fire left in the plates",
+    "is the same footage as",
+    "already holds a dataset",
+    "no camera could be decoded",
+    "no flickering strips where the board should have them",
+    "the period counter does not advance",
+    "so long that every frame straddles a change",
+    "the films' clocks cannot be compared",
+    "the views do not determine the focal length",
+    "no LED board found",
+    "no flame found in any training frame",
+    "the flame would lie behind camera",
+    "cameras; it cannot be placed in space",
+    "no voxel lies in the flame masks of",
+    "and this machine has",
+    "plates do not say which frames they were made from",
+    "no format gof knows",
+    "its times run from",
+    "besides tensors and numbers, and reading",
+    "would change nothing here",
+    "alignment needs two cameras with the same name in both",
+    "holds the scores of another result",
+    "no frame is held out",
+    "is there already; give",
+    "cannot be written to",
+)
 
 
 def printable(text: str) -> str:
@@ -17,14 +60,7 @@ class GofError(Exception):
     """Base of every error this package raises on purpose; command lines print it without a traceback.
 
     Its text may quote files: it is `printable`, and cut in the middle where a file would fill the terminal.
-
-    Attributes:
-        anchor: of the heading in docs/troubleshooting.md that explains the error; "" where none does.
     """
-
-    def __init__(self, *words: object, anchor: str = ""):
-        super().__init__(*words)
-        self.anchor = anchor
 
     def __str__(self) -> str:
         text = printable(super().__str__())
@@ -44,8 +80,14 @@ class MissingDependencyError(GofError):
 
 
 def in_words(error: GofError) -> str:
-    """Return an error's text and, where a page says more, that page."""
-    return f"{error}\nmore: docs/troubleshooting.md#{error.anchor}" if error.anchor else str(error)
+    """Return an error's text and, where docs/troubleshooting.md explains it, the address of that heading."""
+    heading = next((words for words in EXPLAINED if words in Exception.__str__(error)), None)
+    return str(error) if heading is None else f"{error}\nmore: docs/troubleshooting.md#{anchor(heading)}"
+
+
+def anchor(heading: str) -> str:
+    """Return the anchor that a code host and the site of the documents give a heading."""
+    return re.sub(r"[^\w -]", "", heading.lower()).strip().replace(" ", "-")
 
 
 @contextmanager
@@ -54,7 +96,7 @@ def naming(path: Path) -> Iterator[None]:
     try:
         yield
     except GofError as e:
-        raise e if str(path) in str(e) else type(e)(f"{path}: {e}", anchor=e.anchor) from e
+        raise e if str(path) in str(e) else type(e)(f"{path}: {Exception.__str__(e)}") from e
 
 
 def require_finite(name: str, array, context: str = "") -> None:

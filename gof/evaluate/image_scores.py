@@ -223,7 +223,7 @@ def _published(dataset: Dataset, view: View, frame: Frame, after: Frame, extras:
     camera = dataset.cameras[view.number].name
     expected = None if extras.disparity is None else read_depth(extras.disparity, camera, frame.number)
     board = None if view.board is None else view.board < 0.5
-    assert frame.disparity is not None and extras.flow is not None, "drawn where these figures are asked for"
+    assert frame.disparity is not None and extras.flow is not None, "drawn where these figures are wanted"
     seen = PublishedFrame(frame.image, frame.truth, after.truth, board, frame.disparity, expected)
     return published_figures(seen, extras.flow, extras.weights)
 

@@ -161,7 +161,7 @@ def colour_of(path: Path) -> Colour:
 def _require_length(path: Path, numbers: list[int], read: int, number: int | None = None) -> None:
     """Raise DataFormatError: fewer frames were read than the one asked for (by default the last) needs."""
     if numbers and read <= (numbers[-1] if number is None else number):
-        raise DataFormatError(f"{path}: has {read} frames, {numbers[-1] + 1} are asked for")
+        raise DataFormatError(f"{path}: has {read} frames, {numbers[-1] + 1} are wanted")
 
 
 @contextmanager

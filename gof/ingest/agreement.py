@@ -185,8 +185,7 @@ def require_one_length(videos: list[VideoInfo], clocks: list[np.ndarray]) -> Non
         raise GofError(
             f"the clips differ in length (frames: {each}): do they begin together? If so, say how many frames to use, "
             f"as --frames {fewest}; if not, give a frame of each that was taken at the "
-            f"same moment, as --start {zeros}, or film the board and use 'gof capture sync'",
-            anchor="the-clips-differ-in-length",
+            f"same moment, as --start {zeros}, or film the board and use 'gof capture sync'"
         )
 
 

@@ -291,7 +291,7 @@ def _entries(
     theirs = [known[k].name for k in left]
     ours = [name for name, k in zip(names, chosen, strict=True) if k is None]
     if ours != theirs and sorted(ours) == sorted(theirs):
-        raise GofError(f"{path}: was made of {', '.join(theirs)}, in this order; give the videos in the same")
+        raise GofError(f"{path}: was made of {', '.join(theirs)}, in this order; give the videos in that order")
     others = iter(left)
     found = [known[next(others) if k is None else k] for k in chosen]
     notes = tuple(

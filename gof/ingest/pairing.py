@@ -72,8 +72,7 @@ def pair(names: list[str], clocks: list[np.ndarray], start: int, limit: int | No
         raise DataFormatError(
             f"{where}at {lost} of {used[-1] + 1} moments some camera has no frame, first at frame "
             f"{moments[np.flatnonzero(~there)[0]]} of {names[slowest]}: do the times belong to these videos? If so, "
-            "choose a range without with --start and --frames",
-            anchor="moments-some-camera-has-no-frame",
+            "choose a range without with --start and --frames"
         )
     paired = [numbers[used] for numbers in chosen]
     return Pairing(paired, tuple(_notes(names, clocks, steps, paired, slowest)))
@@ -116,13 +115,12 @@ def _first_frame(
         )
         late = f" from frame {start} of {names[0]} on" if start else ""
         board = (
-            " Was the LED board restarted between them, or is it not the one that it was read as (gof capture sync "
+            " Was the LED board restarted between them, or was another layout used to read it (gof capture sync "
             "--board, --tick-us)?"
         )
         raise GofError(
             f"{where}the videos do not overlap in time{late} ({spans}): are they of one take, and their times of one "
-            f"clock?{board if where else ' See --start.'}",
-            anchor="the-videos-do-not-overlap-in-time",
+            f"clock?{board if where else ' See --start.'}"
         )
     return int(np.abs(clocks[slowest] - reference[together[0]]).argmin())
 

@@ -19,7 +19,6 @@ from gof.ingest.axes import find_up, metric_scale, upright_world
 from gof.ingest.evidence import MIN_JUDGED, Evidence, PoseOptions, require_still
 from gof.ingest.marked_points import MarkedPoint
 
-UNSOLVED = "camera-poses-could-not-be-solved"  # heading of docs/troubleshooting.md
 MIN_CONSISTENT = 0.6  # share of a pair's raw matches that must obey the poses
 MAX_POINT_PX = 1.5  # mean reprojection error of board or hand-marked points above which poses are not believed
 LEAST_APART = 0.01  # of the largest distance between two cameras; nearer ones tell no depth
@@ -75,7 +74,7 @@ def place_cameras(
             "rig", sfm.Model(rig.world_to_camera, np.zeros((0, 3))), solved.features, points, lenses, names
         )
         if chosen.refused:
-            raise sfm.PoseError(_advice([chosen], solved.figures, clips[0].notes), anchor=UNSOLVED)
+            raise sfm.PoseError(_advice([chosen], solved.figures, clips[0].notes))
         chains = adjust.tracks(solved.features, lenses, rig.world_to_camera, sfm.GATE_PX)
         cloud = adjust.triangulated(rig.world_to_camera, lenses, chains)
         scale = f"{rig.scale}, by the rig of {rig.folder.name}"
@@ -86,7 +85,7 @@ def place_cameras(
         attempts.append(_from_points(solved.features, points, lenses, names))
     chosen = attempts[-1]
     if chosen.model is None or chosen.refused:
-        raise sfm.PoseError(_advice(attempts, solved.figures, clips[0].notes), anchor=UNSOLVED)
+        raise sfm.PoseError(_advice(attempts, solved.figures, clips[0].notes))
 
     # ---- metres, and the world's axes --------------------------------------------------------------------------------
     factor, scale = metric_scale(chosen.model.world_to_camera, chosen.check, options)

@@ -80,7 +80,7 @@ def verdict(worst: str, sigma_ms: float, speed: float, alignment: AlignedFrames,
         f"The frame times are known to {_short(sigma_ms)} ms (one standard deviation, worst camera: {worst}){motion}; "
         f"frames paired whole, as in aligned videos, are up to {_short(pair)} ms apart{paired}."
         + (
-            f" Of {', '.join(estimated)} the clock is only estimated: a frame or two off is likely."
+            f" The clock of {', '.join(estimated)} is only estimated: a frame or two off is likely."
             if estimated
             else ""
         )

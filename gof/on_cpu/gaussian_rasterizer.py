@@ -195,7 +195,7 @@ def harmonics_at(settings, shs, ts):
 
 
 class _Probe(torch.autograd.Function):
-    """Where the 2D means are told their gradient: its sum for one tensor, sums of absolute ones for another.
+    """Pass the 2D means their gradient: its sum for one tensor, sums of absolute ones for another.
 
     The rasteriser's backward pass comes before this one's and has left the latter at the probe that this returns.
     """

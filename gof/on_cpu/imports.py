@@ -1,4 +1,4 @@
-"""What a script imports: of a method that is not listed, the stand-ins that it needs and the packages it lacks."""
+"""Imports of a script: the stand-ins that an unlisted method needs, and the packages that it lacks."""
 
 from __future__ import annotations
 

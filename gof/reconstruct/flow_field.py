@@ -25,8 +25,7 @@ class FrameField:
         light: how much the frame's flame shines for each unit of its emission, in a unit of the clip's own.
         light_velocity: (V, 3) world m/s, at which what shines is seen to move; 0 where it is not known.
         velocity: (V, 3) world m/s, of the gas; where that is not known, of the light.
-        velocity_sd: (V,) m/s, standard deviation of each component of the gas' velocity; inf where nobody says how sure
-            it is.
+        velocity_sd: (V,) m/s, standard deviation of each component of the gas' velocity; inf where that is unknown.
         known: (V,) bool, where the views say something of the velocity.
         image: (C, H, W, 3) the frame's pictures, display sRGB.
     """

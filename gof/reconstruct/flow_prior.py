@@ -2,14 +2,14 @@
 
 Optical flow follows texture. A flame's texture sits in its slow outer layer, the core has none, and the inflow at the
 foot moves nothing that could be seen, so the fused flow is too slow by a factor that changes over the flame and from
-flame to flame. Two questions are asked apart:
+flame to flame. Two questions are answered apart:
 
 - How fast is the flame as a whole? One number a clip, so there are as many examples as flames: a line (`pace`).
 - How is that speed spread over the flame? Hundreds of thousands of voxels are examples: a small network, which reads
   the fused flow and the light around a voxel, all of it relative.
 
 Both are fitted to simulated flames of two solvers (`benchmark/training/flow_prior.py`; none of them is a scene or a
-test fire of the benchmark). A network that is asked both at once learns its few flames' paces by heart.
+test fire of the benchmark). A network that answers both at once learns its few flames' paces by heart.
 
 What the network gives are the coefficients of five vectors that turn with the flame and its axis, so that the result
 is the same for any heading, and without knowing which way is up. Gravity and metres enter through the pace alone; with
@@ -56,7 +56,7 @@ FEATURES = (
     "brightening_in_time",
     "widening",
 )
-"""What the network reads of a voxel in a frame. Lengths are over the flame's length or radius, speeds over the mean
+"""Inputs of the network for a voxel in a frame. Lengths are over the flame's length or radius, speeds over the mean
 seen speed, times over the time in which what is seen crosses a radius. Nothing is the same all over a clip: by such
 numbers a network would know its flames again."""
 VOXELS = 72  # along the longest side of the flame's box: the flow fields that it learns from, and is asked on
@@ -178,7 +178,7 @@ def _network(data: dict[str, np.ndarray], name: str) -> Network:
 
 @dataclass(frozen=True)
 class FlameDescriber:
-    """What the network reads, and the vectors that it weighs.
+    """Inputs of the network, and the vectors that it weighs.
 
     Attributes:
         mean_velocity: (V, 3) seen, m/s.    mean_brightness: (V,) log, relative to the layer.

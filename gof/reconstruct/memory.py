@@ -55,8 +55,7 @@ def require(needed: float) -> None:
     limit = min(memory.total, _limit())
     if needed > limit:
         raise GofError(
-            f"about {in_words(needed)} are needed, and this machine has {limit / GB:.1f} GB; {remedy}; --anyway tries",
-            anchor="and-this-machine-has",
+            f"about {in_words(needed)} are needed, and this machine has {limit / GB:.1f} GB; {remedy}; --anyway tries"
         )
     if needed > memory.available:
         print(

@@ -167,7 +167,7 @@ def _unknown(picture: np.ndarray) -> np.ndarray:
 
 
 def flow_masks(flow: np.ndarray, frame_time_s: float) -> tuple[np.ndarray, np.ndarray]:
-    """Where something moves by more than `MOVING_PX` a frame, (...) bool, and the same grown (authors of the paper).
+    """Return where something moves by more than `MOVING_PX` a frame, (...) bool, and that area grown (paper's authors).
 
     Their pictures are 1280 px long; at another size or frame rate half a pixel is another speed.
 
@@ -234,8 +234,7 @@ def observe(
     views = map_on_cores(lambda c: _view(dataset, c, frames, method), range(len(dataset.cameras)))
     if not any(view.mask.any() for view in views):
         raise DataFormatError(
-            f"{dataset.path}: no flame found in any training frame (nothing rises above the static plates)",
-            anchor="no-flame-found-in-any-training-frame",
+            f"{dataset.path}: no flame found in any training frame (nothing rises above the static plates)"
         )
     cameras = list(dataset.cameras)
     velocity_at = checked_velocity(flow, max_error_px) if method.flow_of_light else velocity_ahead(flow)

@@ -89,14 +89,14 @@ class Schedule:
 
 @dataclass(frozen=True)
 class Units:
-    """What the schedule's lengths and times are counted in. voxel_size: m, bounds the scale too. frame_time_s: s."""
+    """Units of the schedule's lengths and times. voxel_size: m, bounds the scale too. frame_time_s: s."""
 
     voxel_size: float
     frame_time_s: float
 
 
 class Monitor(Protocol):
-    """Who is told of the optimisation while it runs."""
+    """Listeners to the optimisation while it runs."""
 
     def progress(self, done: int, total: int, note: str) -> None:
         """Steps done, and the loss in words."""
@@ -108,7 +108,7 @@ class Monitor(Protocol):
         """
 
     def spent(self) -> Spent:
-        """What the steps done have cost, in all runs; kept in the checkpoint."""
+        """Cost of the steps done, in all runs; kept in the checkpoint."""
 
 
 def optimize(
@@ -342,7 +342,7 @@ def _loss(drawn: Drawn, pictures: TrainingPictures, f: int, c: int, alpha_loss: 
 
 
 def light_and_smoke(image: np.ndarray, plate: np.ndarray) -> np.ndarray:
-    """What a flame does to its plate: (3, N) the light it adds, or, below 0, minus the share of the plate it hides.
+    """Return (3, N) the light that a flame adds to its plate or, below 0, minus the share of the plate that it hides.
 
     Fire adds light and hides nothing of what is behind it; what is darker than its plate is smoke.
 

@@ -34,7 +34,7 @@ TEXTURE = 1.5  # voxels, std-dev of the light that is looked at
 
 @dataclass(frozen=True)
 class PaceClues:
-    """What a clip says of its pace.
+    """Clues to the pace of a clip.
 
     Attributes:
         seen: RMS of the seen velocity, m/s; > 0.
@@ -122,7 +122,7 @@ class Pace:
 
     Attributes:
         metric: (5,) where lengths are metres and times seconds.
-        unitless: (5,) where nobody knows that; nothing for buoyancy.
+        unitless: (5,) where that is unknown; nothing for buoyancy.
     """
 
     metric: np.ndarray

@@ -61,7 +61,7 @@ class UnseenViews:
     light: np.ndarray
 
     def view(self, frame: int, camera: int) -> UnseenView:
-        """What a camera sees of a frame; rows of `time_s` and `cameras`."""
+        """Views of a frame by each camera; rows of `time_s` and `cameras`."""
         thickness = self.thickness[frame, camera].astype(np.float32).ravel()
         light = np.stack([np.interp(thickness, self.levels, curve) for curve in self.light.T])
         return UnseenView(self.cameras[camera], float(self.time_s[frame]), light.astype(np.float32))

@@ -87,8 +87,7 @@ def flame_box(cameras: list[Camera], masks: np.ndarray) -> tuple[np.ndarray, np.
         depth = cameras[c].to_camera(center[None])[0, 2]
         if depth <= 0:
             raise DataFormatError(
-                f"the flame would lie behind camera '{cameras[c].name}'; are the poses OpenCV world-to-camera?",
-                anchor="the-flame-would-lie-behind-camera",
+                f"the flame would lie behind camera '{cameras[c].name}'; are the poses OpenCV world-to-camera?"
             )
         size = max(size, float((extent[c] / np.diag(cameras[c].K)[:2]).max()) * depth)
     return center - 0.75 * size, center + 0.75 * size

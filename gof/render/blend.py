@@ -87,7 +87,7 @@ class DrJitBlend(dr.CustomOp):
         flat = None
         for band in self.bands:
             bins = self.bins or bin_band(self.shapes, *band)
-            share = WHOLE if self.deterministic else SHARE  # of a pair that several lanes share nobody knows the order
+            share = WHOLE if self.deterministic else SHARE  # of a pair that several lanes share the order is unknown
             args = (self.records, shared(bins.lists, share), self.planes, grads, self.n_channels, self.shapes.columns)
             args += self.max_alpha, self.absgrad, share
             if self.deterministic:

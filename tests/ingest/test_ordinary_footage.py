@@ -35,7 +35,7 @@ def test_what_a_file_says_is_read(tmp_path):
     np.testing.assert_allclose(info.stamps_s, np.arange(30) / 25, atol=1e-6)
     assert stated_fps(path) == 25 and stated_frames(path) == 30
     assert [number_of(frame) for frame in chosen_frames(path, [0, 3, 4, 29])] == [0, 3, 4, 29]
-    with pytest.raises(DataFormatError, match="has 30 frames, 31 are asked for"):
+    with pytest.raises(DataFormatError, match="has 30 frames, 31 are wanted"):
         list(chosen_frames(path, [2, 30]))
     uneven = read_info(set_steps(path, [1] * 9 + [3] + [1] * 20))
     assert np.diff(uneven.stamps_s)[9] == pytest.approx(3 / 25) and uneven.usual_step_s == pytest.approx(1 / 25)

@@ -71,7 +71,7 @@ def test_the_mean_of_every_height_is_right_where_height_is_all(column):
 
 
 def test_the_best_constant_misses_the_spread(column):
-    """Of speeds 1 + z, z even in 0 to 1.2: L2 is standard deviation over RMS."""
+    """For speeds 1 + z, z even in 0 to 1.2, L2 is standard deviation over RMS."""
     field, truth = column
     z = np.linspace(0, 1.2, 10_001)
     assert score(best_constant(field, truth), truth).l2 == pytest.approx(

@@ -1,4 +1,4 @@
-"""What the cameras could know at best, on motion whose projection is known."""
+"""Bounds of what cameras can know, on motion whose projection is known."""
 
 import numpy as np
 import pytest

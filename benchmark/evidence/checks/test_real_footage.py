@@ -1,4 +1,4 @@
-"""What real clips are scored against: the trivial baselines know the answer where a picture moves as a whole."""
+"""Trivial baselines of real clips: the trivial baselines know the answer where a picture moves as a whole."""
 
 import cv2
 import numpy as np

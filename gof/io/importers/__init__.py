@@ -56,7 +56,7 @@ def detect(source: Source) -> str:
         raise DataFormatError(
             f"{source.path}: holds {_summary(source.checkpoint)}, which is no layout gof knows (docs/importers.md)"
         )
-    raise DataFormatError(f"{source.path}: no format gof knows; it reads {KNOWN}", anchor="no-format-gof-knows")
+    raise DataFormatError(f"{source.path}: no format gof knows; it reads {KNOWN}")
 
 
 def _summary(checkpoint: Any) -> str:

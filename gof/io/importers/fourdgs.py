@@ -47,7 +47,7 @@ def _number(word: str) -> float:
 
 @dataclass
 class _Scene:
-    """What the records of a file say, before it becomes Gaussians."""
+    """Contents of a file's records, before they become Gaussians."""
 
     library: str = ""
     count: int = 0

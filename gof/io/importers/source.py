@@ -195,7 +195,6 @@ def require_unit(times: np.ndarray, options: ImportOptions, path: Path) -> None:
         f"{path}: its times run from {first:.3g} to {last:.3g}, the clip lasts {clip:.3g} s; give gof "
         "convert RESULT --time-unit, the seconds of one unit of its time"
         + (f": {clip:g} if they are shares of the clip, as in the D-NeRF layout, 1 if seconds" if shares else ""),
-        anchor="its-times-run-from",
     )
 
 
