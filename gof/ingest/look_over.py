@@ -79,7 +79,7 @@ def of_camera(info: VideoInfo) -> tuple[list[Finding], np.ndarray]:
     name, numbers = info.path.name, _numbers(info.frames or 0)
     frames = _small(info, numbers)
     stands = _stands(frames, name, numbers, info)
-    if any(finding.about == "shake" and finding.verdict == "look" and finding.figure for finding in stands):
+    if any(finding.about == "shake" and finding.verdict != "good" and finding.figure for finding in stands):
         frames = _held_still(frames, name, numbers)  # or a hand's moves would count as the flame's
     plate = darkest(frames)
     masks = np.array([flame_mask(frame.astype(np.float32) / 255, plate.astype(np.float32) / 255) for frame in frames])

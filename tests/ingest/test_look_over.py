@@ -95,7 +95,7 @@ def seen_from(*degrees: float) -> list[np.ndarray]:
 def test_cameras_too_far_apart_and_a_bare_wall_are_told_apart():
     names = ["a", "b", "c"]
     near = _angle(seen_from(-12, 0, 12), names)
-    far = _angle(seen_from(-12, 0, 78), names)
+    far = _angle(seen_from(-12, 0, 90), names)
     assert near.verdict == "good" and near.figure < 10 * far.figure < 0
     assert far.verdict == "bad" and "c" in far.words and "10 degrees apart" in far.remedy
     bare = [np.full((HEIGHT, WIDTH, 3), 90, np.uint8), *seen_from(0)]
