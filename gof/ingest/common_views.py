@@ -20,7 +20,7 @@ FEWEST_MATCHES = 8  # that a fundamental matrix needs
 
 
 @dataclass(frozen=True)
-class Features:
+class PlateFeatures:
     """A picture's SIFT features: places (N, 2) px and descriptors (N, 128)."""
 
     places: np.ndarray
@@ -53,15 +53,15 @@ def weakest_link(plates: list[np.ndarray]) -> Link:
     return Link(weakest, counts[weakest], min(len(found[c].places) for c in weakest))
 
 
-def _features(plate: np.ndarray) -> Features:
+def _features(plate: np.ndarray) -> PlateFeatures:
     import cv2
 
     sift = cv2.SIFT.create(MOST_FEATURES, contrastThreshold=0.01)
     points, kinds = sift.detectAndCompute(cv2.cvtColor(plate, cv2.COLOR_RGB2GRAY), None)
-    return Features(np.array([point.pt for point in points]).reshape(-1, 2), kinds)
+    return PlateFeatures(np.array([point.pt for point in points]).reshape(-1, 2), kinds)
 
 
-def _shared(one: Features, other: Features) -> int:
+def _shared(one: PlateFeatures, other: PlateFeatures) -> int:
     """Return how many features are each other's nearest, far nearer than the next, and fit one epipolar geometry."""
     import cv2
 
