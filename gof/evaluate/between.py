@@ -25,8 +25,8 @@ def between_neighbours(dataset: Dataset, camera: int, frame: int, flow: Flow) ->
     if not 0 < frame < len(dataset.times_s) - 1:
         return None
     before, after = (dataset.image(camera, k) for k in (frame - 1, frame + 1))
-    eights = [np.uint8(np.rint(255 * picture)) for picture in (before, after)]
-    return (_moved(before, flow(*eights) / 2) + _moved(after, flow(*eights[::-1]) / 2)) / 2
+    first, last = (np.rint(255 * picture).astype(np.uint8) for picture in (before, after))
+    return (_moved(before, flow(first, last) / 2) + _moved(after, flow(last, first) / 2)) / 2
 
 
 def _moved(picture: np.ndarray, flow: np.ndarray) -> np.ndarray:

@@ -57,7 +57,8 @@ def _features(plate: np.ndarray) -> PlateFeatures:
     import cv2
 
     sift = cv2.SIFT.create(MOST_FEATURES, contrastThreshold=0.01)
-    points, kinds = sift.detectAndCompute(cv2.cvtColor(plate, cv2.COLOR_RGB2GRAY), None)
+    everywhere = np.full(plate.shape[:2], 255, np.uint8)
+    points, kinds = sift.detectAndCompute(cv2.cvtColor(plate, cv2.COLOR_RGB2GRAY), everywhere)
     return PlateFeatures(np.array([point.pt for point in points]).reshape(-1, 2), kinds)
 
 
