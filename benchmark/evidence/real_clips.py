@@ -24,7 +24,6 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Literal
 
-import cv2
 import numpy as np
 import tyro
 
@@ -34,6 +33,7 @@ from gof.dataset import Dataset
 from gof.dataset.plates import background
 from gof.evaluate import psnr, ssim
 from gof.evaluate.authors_figures import moving
+from gof.evaluate.between import between_neighbours
 from gof.footage.flame_mask import flame_mask
 from gof.reconstruct.methods import MethodName
 from gof.reconstruct.optical_flow import dis
@@ -106,19 +106,11 @@ def carried_along_flow(dataset: Dataset) -> Draw:
     mean."""
 
     def draw(c: int, k: int) -> Picture:
-        before, after = dataset.image(c, k - 1), dataset.image(c, k + 1)
-        eights = [np.uint8(np.rint(255 * picture)) for picture in (before, after)]
-        half = [dis(*eights) / 2, dis(*eights[::-1]) / 2]
-        return (_fetched(before, half[0]) + _fetched(after, half[1])) / 2
+        picture = between_neighbours(dataset, c, k, dis)
+        assert picture is not None, "asked only of held-out pictures between two others"
+        return picture
 
     return draw
-
-
-def _fetched(picture: Picture, flow: np.ndarray) -> Picture:
-    """Return the picture moved by `flow` (H, W, 2), px, taken to change slowly over the flow's own length."""
-    height, width = flow.shape[:2]
-    x, y = np.meshgrid(np.arange(width, dtype=np.float32), np.arange(height, dtype=np.float32))
-    return cv2.remap(picture.astype(np.float32), x - flow[..., 0], y - flow[..., 1], cv2.INTER_LINEAR)
 
 
 def of_result(dataset: Dataset, folder: Path) -> Draw:

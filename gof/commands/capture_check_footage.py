@@ -25,7 +25,8 @@ class CheckFootageConfig:
       gof capture check-footage cam_0.mp4 cam_1.mp4 cam_2.mp4
 
     Looks at the flame's exposure, size and speed, at what it hides all the time, at shake and changes of exposure, at
-    rates, repeats and HDR, and whether the films' clocks can be found. Exit status 0: nothing is bad.
+    rates, repeats and HDR, whether the cameras see the same things, and whether the films' clocks can be found. Exit
+    status 0: nothing is bad.
     """
 
     videos: tyro.conf.Positional[Annotated[list[Path], tyro.conf.arg(metavar="VIDEO ...")]]

@@ -94,7 +94,7 @@ def main(argv: list[str]) -> int:
             images=config.images,
             progress=progress,
             align=config.align,
-            extras=Extras(config.weights, depth, dis if config.published else None, disparity),
+            extras=Extras(config.weights, depth, dis if config.published else None, disparity, dis),
         )
     out = console()
     for of in (eve_table, velocity_table, picture_table, around_table, light_table, published_table):
@@ -253,15 +253,18 @@ def eve_table(scores: Scores) -> Table:
 
 
 def picture_table(scores: Scores) -> Table:
-    """Return the pictures' scores with those of the plate; scores that no picture has are left out."""
+    """Return the pictures' scores with those of the plate, and of the two frames around; scores that no picture has
+    are left out."""
     table = Table(title=f"Held-out pictures{_at_size(scores)}", title_justify="left")
-    for column in ("score", "result", "background alone"):
+    around = scores.psnr_between is not None  # of the very camera: no method has them for a view that was not filmed
+    for column in ("score", "result", "background alone", *(("two frames around",) if around else ())):
         table.add_column(column, justify="left" if column == "score" else "right")
     for key, label, digits in PICTURE_ROWS:
         own = getattr(scores, key)
         plate = getattr(scores, f"{key}_plate", None)
         if own is not None or plate is not None:
-            table.add_row(label + _counted(scores, key), _number(own, digits), _number(plate, digits))
+            row = [label + _counted(scores, key), _number(own, digits), _number(plate, digits)]
+            table.add_row(*row, *([_number(getattr(scores, f"{key}_between", None), digits)] if around else []))
     return table
 
 

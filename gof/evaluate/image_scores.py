@@ -14,6 +14,7 @@ from gof.core.errors import MissingDependencyError, NonFiniteError
 from gof.core.gaussians import MovingGaussians
 from gof.dataset import Dataset
 from gof.evaluate.authors_figures import Flow, PublishedFrame, drawn_disparity, mean_figures, published_figures
+from gof.evaluate.between import between_neighbours
 from gof.evaluate.depth import read_depth, rmse_to_map
 from gof.evaluate.image import flip, lpips, psnr, ssim, temporal_l2
 from gof.evaluate.scores import FIGURES, ImageScores, PictureFigures, PictureScore, PublishedFigures
@@ -24,6 +25,7 @@ Background = np.ndarray | tuple[float, float, float]  # (H, W, 3) display values
 Metric = Callable[[np.ndarray, np.ndarray, Weights], float | None]  # of a picture and its truth, (H, W, 3)
 
 BLACK = (0.0, 0.0, 0.0)
+BETWEEN = ("psnr", "ssim")  # of the two frames around
 VISIBLE = 0.1  # opacity of a pixel from which on its depth counts
 
 
@@ -35,6 +37,7 @@ class Extras:
     depth: Path | None = None  # folder of CAMERA/FRAME.npy depth maps, for RMSE_depth
     flow: Flow | None = None  # optical flow, for the figures that the authors publish; None leaves them out
     disparity: Path | None = None  # folder of CAMERA/FRAME.npy maps of inverse depth, for their error of depth
+    carry: Flow | None = None  # optical flow, along which the two frames around are carried; None leaves them out
 
 
 @dataclass(frozen=True)
@@ -197,8 +200,13 @@ def _picture_score(
     """Return all scores of one held-out frame of one camera."""
     camera, mask, board = dataset.cameras[view.number].name, frame.mask, view.board
     figures: dict[str, float | None] = {}
-    for suffix, picture in (("", frame.image), ("_plate", view.plate)):
+    pictures: dict[str, np.ndarray | None] = {"": frame.image, "_plate": view.plate}
+    if extras.carry is not None:
+        pictures["_between"] = between_neighbours(dataset, view.number, frame.number, extras.carry)
+    for suffix, picture in pictures.items():
         for name, metric in metrics.picture.items():
+            if picture is None or (suffix == "_between" and name not in BETWEEN):
+                continue
             figures[f"{name}{suffix}"] = metric(picture, frame.truth, board)
             if name != "lpips" and mask is not None:
                 figures[f"{name}_flame{suffix}"] = metric(picture, frame.truth, _both(mask, board))

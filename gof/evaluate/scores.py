@@ -145,16 +145,21 @@ class VelocityScore(ClipScore):
 
 @dataclass(frozen=True, kw_only=True)
 class PictureFigures:
-    """Scores of pictures. `_flame`: on flame pixels alone; `_plate`: of the fire-free plate in place of the result."""
+    """Scores of pictures. `_flame`: on flame pixels alone; `_plate`: of the fire-free plate in place of the result;
+    `_between`: of the two frames around, carried along their flow (`gof.evaluate.between`)."""
 
     psnr: float | None = None
     psnr_flame: float | None = None
     psnr_plate: float | None = None
     psnr_flame_plate: float | None = None
+    psnr_between: float | None = None
+    psnr_flame_between: float | None = None
     ssim: float | None = None
     ssim_flame: float | None = None
     ssim_plate: float | None = None
     ssim_flame_plate: float | None = None
+    ssim_between: float | None = None
+    ssim_flame_between: float | None = None
     flip: float | None = None
     flip_flame: float | None = None
     flip_plate: float | None = None

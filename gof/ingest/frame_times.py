@@ -145,10 +145,10 @@ def stated_times(timing: Timing, videos: list[VideoInfo]) -> FrameTimes:
         source = f"{', '.join(f'{rate:g}' for rate in timing.fps)} frames per second"
     if len(timing.start) == 1:
         require_one_beginning(videos)
-    ticks = [_without_repeats(tick, video) for tick, video in zip(ticks, videos, strict=True)]
     clocks = [tick - tick[start] for tick, start in zip(ticks, starts, strict=True)]
     if not timing.begins_are_known:
         require_one_length(videos, clocks)
+    clocks = [_without_repeats(clock, video) for clock, video in zip(clocks, videos, strict=True)]
     together = "all cameras starting together" if len(set(starts)) == 1 else f"frames {starts} taken together"
     pairing = pair([video.path.name for video in videos], clocks, starts[0], timing.limit)
     count = len(videos)
@@ -173,7 +173,8 @@ def _stamps(video: VideoInfo) -> np.ndarray:
 
 
 def _without_repeats(clock: np.ndarray, video: VideoInfo) -> np.ndarray:
-    """Return (N,) s with a frame that shows the one before again at that one's time, so that it is left out.
+    """Return (N,) s with a frame that shows the one before again, and that one, at the time of what is before both, so
+    that they are left out: who filled a gap shows the frame before it late, or the one after it early.
 
     Raises:
         DataFormatError: they are too many.
@@ -181,7 +182,7 @@ def _without_repeats(clock: np.ndarray, video: VideoInfo) -> np.ndarray:
     require_few_repeats(video)
     clock = clock.copy()
     for k in video.repeated:
-        clock[k] = clock[k - 1]
+        clock[max(k - 2, 0) : k + 1] = clock[max(k - 2, 0)]
     return clock
 
 

@@ -13,9 +13,10 @@ from gof.capture.recognise import AUTO, BoardUnclear, first_frames, recognise
 from gof.core.errors import DataFormatError, GofError
 from gof.footage.flame_mask import flame_mask
 from gof.footage.lens import turned
-from gof.footage.steadying import look, steady
+from gof.footage.steadying import FrameCorrection, look, steady
 from gof.footage.videos import VideoInfo, chosen_frames, read_info, require_different
 from gof.ingest.agreement import TURN_OF_TAG, other_notes
+from gof.ingest.common_views import weakest_link
 from gof.ingest.over_time import LUMA, darkest
 from gof.ingest.plates import MOST_FIRE_LEFT, fire_left, fire_reached
 
@@ -24,6 +25,8 @@ LONGEST_PX = 480  # size at which they are
 STANDS = 20  # of these frames, in which shake and exposure are measured: both show in any of them
 CLIPPED = 250  # of 255, in red and green: there colour and brightness are lost
 NO_FLAME = 2e-4  # share of the picture
+CHANCE, ENOUGH = 30, 200  # features that two cameras share: of different places up to 25; below 200 no poses were found
+BARE = 200  # features of a picture, below which nothing behind the fire has a pattern
 EDGE = 0.02  # share of a side of the picture in which the flame is cut off
 Verdict = Literal["good", "look", "bad"]
 
@@ -60,26 +63,32 @@ def look_over(videos: list[Path]) -> list[Finding]:
     """
     require_different(videos)
     infos = [read_info(video) for video in videos]
-    found = [finding for info in infos for finding in of_camera(info)]
+    looks = [of_camera(info) for info in infos]
+    found = [finding for findings, _ in looks for finding in findings]
     found += [Finding("files", "", "look", None, note) for note in other_notes(infos, False)]
-    return found + ([clocks(videos)] if len(videos) > 1 else [])
+    if len(videos) == 1:
+        return found
+    return [*found, _angle([plate for _, plate in looks], [info.path.name for info in infos]), clocks(videos)]
 
 
 # ---- one camera ------------------------------------------------------------------------------------------------------
 
 
-def of_camera(info: VideoInfo) -> list[Finding]:
-    """Return what one video shows, and what its file says."""
+def of_camera(info: VideoInfo) -> tuple[list[Finding], np.ndarray]:
+    """Return what one video shows and its file says, and (h, w, 3) uint8 of what is behind the fire."""
     name, numbers = info.path.name, _numbers(info.frames or 0)
     frames = _small(info, numbers)
+    stands = _stands(frames, name, numbers, info)
+    if any(finding.about == "shake" and finding.verdict != "good" and finding.figure for finding in stands):
+        frames = _held_still(frames, name, numbers)  # or a hand's moves would count as the flame's
     plate = darkest(frames)
     masks = np.array([flame_mask(frame.astype(np.float32) / 255, plate.astype(np.float32) / 255) for frame in frames])
-    found = [*_file(info), *_stands(frames, name, numbers, info)]
+    found = [*_file(info), *stands]
     if masks.mean() < NO_FLAME:
         words = f"no flame is seen in {len(frames)} frames"
         remedy = "is it the right film? In a dark or white flame red must outshine what is behind it"
-        return [Finding("flame", name, "bad", round(float(masks.mean()), 6), words, remedy), *found]
-    return [*_flame(frames, masks, plate, name), _speed(frames, masks, plate, numbers, name), *found]
+        return [Finding("flame", name, "bad", round(float(masks.mean()), 6), words, remedy), *found], plate
+    return [*_flame(frames, masks, plate, name), _speed(frames, masks, plate, numbers, name), *found], plate
 
 
 def _numbers(count: int) -> np.ndarray:
@@ -169,6 +178,17 @@ def _speed(frames: np.ndarray, masks: np.ndarray, plate: np.ndarray, numbers: np
     )
 
 
+def _held_still(frames: np.ndarray, name: str, numbers: np.ndarray) -> np.ndarray:
+    """Return the (N, h, w, 3) uint8 frames without the camera's moves, as far as `gof ingest` puts them right."""
+    place = len(frames) // 2
+    try:
+        found = steady(look(frames, frames[place], place), np.arange(len(frames)), name, numbers)
+    except DataFormatError:
+        return frames
+    moves = [FrameCorrection(correction.matrix, None, frames[place]) for correction in found.frames]
+    return np.array([move.applied(frame) for move, frame in zip(moves, frames, strict=True)]) if moves else frames
+
+
 def _stands(frames: np.ndarray, name: str, numbers: np.ndarray, info: VideoInfo) -> list[Finding]:
     """Return shake and exposure's drift, by what stands still."""
     tripod = "put the camera on a tripod and release it without touching it"
@@ -217,6 +237,23 @@ def _file(info: VideoInfo) -> list[Finding]:
 
 
 # ---- together --------------------------------------------------------------------------------------------------------
+
+
+def _angle(plates: list[np.ndarray], names: list[str]) -> Finding:
+    """Return whether the cameras see enough in common to be placed by it."""
+    link = weakest_link(plates)
+    a, b = (names[c] for c in link.cameras)
+    words = f"{a} and {b} see {link.shared} things alike behind the fire"
+    if link.shared < CHANCE:
+        words += ", no more than pictures of different places do"
+    pattern = "put bricks, gravel or printed paper behind the fire"
+    if link.features < BARE:
+        words += f"; one of them shows hardly any pattern ({link.features} places)"
+        remedy = f"{pattern}, all over the picture"
+    else:
+        remedy = f"stand neighbouring cameras about 10 degrees apart, as seen from the fire, and {pattern}"
+    remedy += "; else film the sync board whole in every view, or mark points for gof ingest --points"
+    return graded("angle", "", -link.shared, (-ENOUGH, -CHANCE), words, remedy)
 
 
 def clocks(videos: list[Path]) -> Finding:

@@ -68,7 +68,8 @@ def pair(names: list[str], clocks: list[np.ndarray], start: int, limit: int | No
             "times)"
         )
     lost = used[-1] + 1 - len(used)
-    if lost > MAX_LEFT_OUT * (used[-1] + 1):
+    repeats = sum(len(clock) - len(k) for clock, k in zip(clocks, own, strict=True))  # say nothing of the clocks
+    if lost - repeats > MAX_LEFT_OUT * (used[-1] + 1):
         raise DataFormatError(
             f"{where}at {lost} of {used[-1] + 1} moments some camera has no frame, first at frame "
             f"{moments[np.flatnonzero(~there)[0]]} of {names[slowest]}: do the times belong to these videos? If so, "
@@ -136,14 +137,16 @@ def _notes(
     for name, clock, step, used in zip(names, clocks, steps, frames, strict=True):
         range_s = clock[used[0] : used[-1] + 1]
         gaps = np.flatnonzero(np.diff(range_s) > GAP * step)
-        if len(gaps):
-            missing = round(float((np.diff(range_s)[gaps] / step - 1).sum()))
+        twice = np.flatnonzero(np.diff(range_s) <= 0)
+        missing = round(float((np.diff(range_s)[gaps] / step - 1).sum())) - len(twice)
+        if missing > 0:
             notes.append(
                 f"{name}: {missing} frames are missing, first after frame {used[0] + gaps[0]}; left out for all"
             )
-        twice = np.flatnonzero(np.diff(range_s) <= 0)
         if len(twice):
-            notes.append(f"{name}: {len(twice)} frames repeat the one before, first after frame {used[0] + twice[0]}")
+            notes.append(
+                f"{name}: {len(twice)} frames are shown twice, first after frame {used[0] + twice[0]}; left out for all"
+            )
     counts = [len(clock) for clock in clocks]
     if len(set(counts)) > 1:
         each = ", ".join(f"{name} {count}" for name, count in zip(names, counts, strict=True))

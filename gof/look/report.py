@@ -204,6 +204,12 @@ def verdicts(scores: Scores) -> list[Verdict]:
         where = f"held-out frames ({size})" if size else "held-out frames"
         sentence = f"On flame pixels of {where}, {abs(gain):.1f} dB {side} the fire-free background alone."
         out.append(Verdict(gain > 0, sentence))
+    if scores.psnr_flame is not None and scores.psnr_flame_between is not None:
+        gain = scores.psnr_flame - scores.psnr_flame_between
+        side = "above" if gain > 0 else "below"
+        out.append(
+            Verdict(gain > 0, f"There, {abs(gain):.1f} dB {side} the two frames around, carried along their flow.")
+        )
     return out
 
 

@@ -87,6 +87,7 @@ def test_command_line(flame, capsys):
     printed = capsys.readouterr().out
     assert "CosSim" in printed and "trivial: constant" in printed and "background alone" in printed
     scores = Scores.read(out / "scores.json")
+    assert "two frames around" in printed and scores.psnr_flame_plate < scores.psnr_flame_between < 100
     assert scores == Scores.read(extra)
     assert {"zero", "random", "constant"} <= set(scores.trivial_baselines) and scores.dve.l2 < 0.02
     with pytest.raises(DataFormatError):
@@ -254,6 +255,8 @@ def test_scores_land_beside_the_result_and_the_page_finds_them(flame, tmp_path, 
     assert gof(["evaluate", str(out / "result.npz"), "--dataset", data]) == 0
     assert f"{out / 'scores.json'}" in capsys.readouterr().out.replace("\n", "")
     assert gof(["report", str(out), "--dataset", data]) == 0 and (out / "report.html").is_file()
+    page = (out / "report.html").read_text(encoding="utf-8")
+    assert "two frames around</th>" in page and "the two frames around, carried along their flow" in page
     assert gof(["evaluate", str(out), "--dataset", data, "--no-images"]) == 0, "the folder of a result, and again"
     assert Scores.read(out / "scores.json").images is None
 

@@ -8,8 +8,10 @@ import pytest
 from gof.commands.cli import main as gof
 from gof.footage.videos import read_info
 from gof.ingest import look_over
-from gof.ingest.look_over import _flame, _speed, of_camera
+from gof.ingest.look_over import _angle, _flame, _speed, of_camera
 from gof.ingest.over_time import darkest
+from tests.conftest import look_at
+from tests.ingest.scene import FOCAL, HEIGHT, WIDTH, draw
 from tests.ingest.test_moving_cameras import COUNT, drift, filmed, shaken
 from tests.videos import write_video
 
@@ -20,7 +22,11 @@ def few_pairs(monkeypatch):
 
 
 def verdicts(path) -> dict:
-    return {finding.about: finding.verdict for finding in of_camera(read_info(path))}
+    return {finding.about: finding.verdict for finding in of_camera(read_info(path))[0]}
+
+
+def speed(path) -> float:
+    return next(f.figure for f in of_camera(read_info(path))[0] if f.about == "rate")
 
 
 def test_a_camera_that_shakes_or_drifts_is_told_from_one_that_stands(tmp_path):
@@ -28,9 +34,11 @@ def test_a_camera_that_shakes_or_drifts_is_told_from_one_that_stands(tmp_path):
     assert still["shake"] == still["light"] == still["times"] == "good" and "repeats" not in still
     moved = verdicts(write_video(tmp_path / "moved.mp4", filmed(shaken("shifts", 0.7))))
     assert moved["shake"] in ("look", "bad") and moved["light"] == "good"
+    as_filmed, in_hands = (speed(path) for path in (tmp_path / "still.mp4", tmp_path / "moved.mp4"))
+    assert in_hands == pytest.approx(as_filmed, abs=0.03), "a hand's moves are not the flame's"
     far = np.tile(np.eye(3), (COUNT, 1, 1))
     far[8:, 0, 2] = 12
-    found = {f.about: f for f in of_camera(read_info(write_video(tmp_path / "far.mp4", filmed(far))))}
+    found = {f.about: f for f in of_camera(read_info(write_video(tmp_path / "far.mp4", filmed(far))))[0]}
     assert found["shake"].verdict == "bad" and "tripod" in found["shake"].remedy
     drifting = verdicts(write_video(tmp_path / "drift.mp4", filmed(gains=drift(0.2))))
     assert drifting["light"] == "look" and drifting["shake"] == "good"
@@ -39,7 +47,7 @@ def test_a_camera_that_shakes_or_drifts_is_told_from_one_that_stands(tmp_path):
 def test_a_film_without_fire_and_one_that_repeats(tmp_path):
     plate = darkest(filmed())
     noisy = [plate + np.random.default_rng(k).integers(0, 4, plate.shape, np.uint8) for k in range(12)]
-    none = {f.about: f for f in of_camera(read_info(write_video(tmp_path / "none.mp4", noisy)))}
+    none = {f.about: f for f in of_camera(read_info(write_video(tmp_path / "none.mp4", noisy)))[0]}
     assert none["flame"].verdict == "bad" and "no flame is seen" in none["flame"].words
     clip = list(filmed())
     clip.insert(7, clip[6])
@@ -76,6 +84,23 @@ def test_exposure_size_edge_and_plate():
     held, mask = square(12, 0)
     hides = {f.about: f for f in _flame(held, mask, darkest(held), "a")}
     assert hides["plate"].verdict == "good", "what never changes is not known to be fire"
+
+
+def seen_from(*degrees: float) -> list[np.ndarray]:
+    """Plates of the drawn scene, by cameras at these angles around it."""
+    places = [(3 * np.sin(a), -3 * np.cos(a), 0.9) for a in np.deg2rad(degrees)]
+    return [draw(look_at("a", place, (0, 0, 0.6), WIDTH, HEIGHT, FOCAL))[0] for place in places]
+
+
+def test_cameras_too_far_apart_and_a_bare_wall_are_told_apart():
+    names = ["a", "b", "c"]
+    near = _angle(seen_from(-12, 0, 12), names)
+    far = _angle(seen_from(-12, 0, 90), names)
+    assert near.verdict == "good" and near.figure < 10 * far.figure < 0
+    assert far.verdict != "good" and "and c see" in far.words and "10 degrees apart" in far.remedy
+    bare = [np.full((HEIGHT, WIDTH, 3), 90, np.uint8), *seen_from(0)]
+    wall = _angle(bare, names[:2])
+    assert wall.verdict == "bad" and "hardly any pattern" in wall.words and "all over the picture" in wall.remedy
 
 
 def test_the_command_prints_remedies_writes_figures_and_fails(tmp_path, capsys):

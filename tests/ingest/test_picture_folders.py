@@ -97,11 +97,13 @@ def test_a_lost_picture_is_a_gap_in_time_and_it_is_said(tmp_path, capsys):
     assert moments(tmp_path) == [(k, k) for k in kept]
 
 
-def test_a_picture_that_repeats_the_one_before_is_left_out(tmp_path, capsys):
-    shown = [k - (k == 7) for k in range(14)]
+@pytest.mark.parametrize("shown", [[k - (k == 7) for k in range(14)], [k + (k == 6) for k in range(14)]])
+def test_pictures_that_are_shown_twice_are_left_out(tmp_path, capsys, shown):
+    """A gap filled by the picture before it, and by the one after it: in either case one of the two is not of its
+    time."""
     assert cli.main(rig(tmp_path, [f"{k:04d}" for k in range(14)], shown)) == 0
-    assert "c0: 1 frames repeat the one before, first after frame 6" in words(capsys)
-    assert moments(tmp_path) == [(k, k) for k in range(14) if k != 7]
+    assert "c0: 2 frames are shown twice, first after frame 5; left out for all" in words(capsys)
+    assert moments(tmp_path) == [(k, k) for k in range(14) if k not in (6, 7)]
 
 
 def test_a_folder_of_repeats_is_refused(tmp_path, capsys):
