@@ -137,7 +137,9 @@ class NativeBlend(dr.CustomOp):
         run(draw, [()] * thread_count())
 
     def backward(self):
-        upstream = [as_plane(g, len(self.planes[0])) for g in self.grad_out()]
+        given = self.grad_out()
+        dr.schedule(given)  # one kernel for all of them: what they share is computed once
+        upstream = [as_plane(g, len(self.planes[0])) for g in given]
         grads = tuple(plane.numpy() for plane in upstream)
         parts = REPEATABLE_PARTS if self.deterministic else thread_count()
         memory = dr.empty(Float, parts * self.n * lists.RECORD)
