@@ -151,7 +151,7 @@ def _all_names(fields: dict) -> set[str]:
 
 def _is_read(name: str, read: set[str]) -> bool:
     """Families of names (docs/formats.md, "Scores") count with the name they are made of."""
-    family = re.fullmatch(r"skill_over_(\w+)|(\w+?)(?:_flame|_plate|_flame_plate)?(?:_std)?", name)
+    family = re.fullmatch(r"skill_over_(\w+)|(\w+?)(?:_flame)?(?:_plate|_between)?(?:_std)?", name)
     return name in read or (family[1] or family[2]) in read
 
 

@@ -140,7 +140,7 @@ def test_empty_and_odd_variables_are_no_obstacle(folder):
 
 @pytest.mark.long
 @pytest.mark.skipif(sys.platform != "linux", reason="limits as Linux has them")
-@pytest.mark.parametrize("kilobytes", [500_000, 600_000, 800_000])
+@pytest.mark.parametrize("kilobytes", [500_000, 600_000, 900_000, 1_100_000])
 def test_too_little_memory_is_named(folder, kilobytes):
     pytest.importorskip("drjit")
     done = run(folder, *SHARE, shell=f"ulimit -v {kilobytes}")

@@ -129,7 +129,7 @@ def about_x(degrees: float) -> np.ndarray:
 
 
 def dim(share: float) -> Picture:
-    """Return camera 0 gets so much of its light."""
+    """Give camera 0 so much of its light."""
     return lambda image, camera, _: linear_to_srgb(share * srgb_to_linear(image)) if camera == 0 else image
 
 
@@ -140,7 +140,7 @@ def noisy(levels: float) -> Picture:
 
 
 def behind_a_beam(dataset: Dataset) -> Picture:
-    """Return a dull grey beam, a tenth of the picture thick, lies across the middle of the flame in camera 0."""
+    """Lay a dull grey beam, a tenth of the picture thick, across the middle of the flame in camera 0."""
     light = np.mean([dataset.image(0, f) - dataset.static(0) for f in dataset.train_frames[::4]], axis=0).sum(-1)
     upright = abs(dataset.cameras[0].world_to_camera[1, 2]) > 0.7  # else the camera lies on its side
     profile = light.clip(0).sum(1 if upright else 0)
@@ -159,7 +159,7 @@ def behind_a_beam(dataset: Dataset) -> Picture:
 
 
 def smoke(densest: float = 0.6, grey: float = 0.2) -> Picture:
-    """Wisps of grey smoke drift in front of every camera, half of the picture's width a second, each its own.
+    """Let wisps of grey smoke drift in front of every camera, half of the picture's width a second, each its own.
 
     Args:
         densest: share of the light that the thickest takes.   grey: display sRGB of what it adds instead.

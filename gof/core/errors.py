@@ -9,7 +9,7 @@ LONGEST = 4000  # characters of a message
 
 EXPLAINED = (  # parts of messages: each is a heading of docs/troubleshooting.md
     "libLLVM was not found",
-    'pip install "gaussians-on-fire[',
+    'pip install "gaussians-on-fire',
     "bpy 4.5 needs numpy below 2",
     "no file says",
     "camera poses could not be solved",

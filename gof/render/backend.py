@@ -22,6 +22,7 @@ from gof.core.errors import GofError, MissingDependencyError
 from gof.host import extras
 
 THREADS_VARIABLE = "OMP_NUM_THREADS"  # what users and job schedulers set; NumPy, PyTorch and numba read it themselves
+LEAST_ADDRESSES = 1.25e9  # bytes that may be mapped
 LLVM_VARIABLE = "DRJIT_LIBLLVM_PATH"
 
 
@@ -33,6 +34,20 @@ def _require_numbers_of_threads() -> None:
         asked = os.environ.get(name, "").split(",")[0].strip()  # "4,2": of nested levels, the first
         if asked and not (asked.isascii() and asked.isdigit() and int(asked) > 0):
             raise GofError(f"{name} is '{os.environ[name]}'; unset it, or set it to a whole number from 1 on")
+
+
+def _require_addresses() -> None:
+    """Below this LLVM ends the process in the middle of its work, or never ends (tried with 0.5 to 2 GB)."""
+    try:
+        import resource
+    except ModuleNotFoundError:  # Windows has no such limit
+        return
+    limit = resource.getrlimit(resource.RLIMIT_AS)[0]
+    if limit != resource.RLIM_INFINITY and limit < LEAST_ADDRESSES:
+        raise GofError(
+            f"memory is limited to {limit / 1e9:.1f} GB (ulimit -v); the renderer and its compiler need "
+            f"{LEAST_ADDRESSES / 1e9:.2f} GB of addresses"
+        )
 
 
 def _require_backend() -> None:
@@ -80,6 +95,7 @@ BACKEND = os.environ.get("GOF_RENDER_BACKEND", "llvm")
 if BACKEND not in ("llvm", "cuda"):
     raise GofError(f"GOF_RENDER_BACKEND is '{BACKEND}'; use 'llvm' or 'cuda'")
 _require_numbers_of_threads()
+_require_addresses()
 WORK_UNIT = 2048  # lanes
 KERNELS_VARIABLE = "GOF_RENDER_KERNELS"
 _types = import_module(f"drjit.{BACKEND}.ad")
