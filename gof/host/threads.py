@@ -12,10 +12,13 @@ R = TypeVar("R")
 
 
 def core_count() -> int:
-    """Return how many cores this process may use: OMP_NUM_THREADS where that is fewer, as everywhere."""
+    """Return how many cores this process may use: OMP_NUM_THREADS (of "4,2" the first) where that is fewer.
+
+    One that is no number from 1 on counts as none; `gof.render.backend` refuses it by name.
+    """
     cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
-    asked = os.environ.get("OMP_NUM_THREADS", "")
-    return min(cores, int(asked)) if asked.isdigit() and int(asked) > 0 else cores
+    asked = os.environ.get("OMP_NUM_THREADS", "").split(",")[0].strip()
+    return min(cores, int(asked)) if asked.isascii() and asked.isdigit() and int(asked) > 0 else cores
 
 
 def map_on_cores(
