@@ -39,6 +39,7 @@ from gof.reconstruct.shrink import enlarge
 from gof.reconstruct.surroundings import Plates, StillScene, Surroundings
 from gof.reconstruct.unseen import find_compact_flame, imagine_views
 from gof.reconstruct.windows import Windows
+from gof.render.backend import threads_for
 
 
 @dataclass(frozen=True)
@@ -228,6 +229,7 @@ def fit(
             window_px=[windows.width, windows.height],
         ),
         progress_bar("optimise") as progress,
+        threads_for(windows.width * windows.height),
     ):
         whole = partial(windows.plates, plates=observation.plate, blocked=observation.blocked)
         monitor = _Monitor(_snapshot(run), held_out, whole, curve, progress, time.perf_counter() - before_s)

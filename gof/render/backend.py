@@ -22,6 +22,9 @@ from gof.core.errors import GofError, MissingDependencyError
 from gof.host import extras
 
 THREADS_VARIABLE = "OMP_NUM_THREADS"  # what users and job schedulers set; NumPy, PyTorch and numba read it themselves
+# More threads wait for each other: of 16 cores, a step on small pictures takes 73 ms with all, 22 with 8, 16 with 3.
+MOST_THREADS, FEW_THREADS = 8, 4
+THREAD_PIXELS = 30_000
 LEAST_ADDRESSES = 1.25e9  # bytes that may be mapped
 LLVM_VARIABLE = "DRJIT_LIBLLVM_PATH"
 
@@ -103,15 +106,33 @@ Array2f, Array3f, Array4f, Bool = _types.Array2f, _types.Array3f, _types.Array4f
 Float, Int, UInt, Array2u = _types.Float, _types.Int, _types.UInt, _types.Array2u
 
 
-def _as_many_threads_as_asked() -> None:
-    """Dr.Jit takes a thread per core, whatever THREADS_VARIABLE says, and those without work cost time. Never more."""
+def _asked_threads() -> int | None:
+    """What THREADS_VARIABLE asks for; None: nothing."""
     asked = os.environ.get(THREADS_VARIABLE, "").split(",")[0].strip()
-    if asked and int(asked) < dr.thread_count():
-        dr.set_thread_count(int(asked))
+    return int(asked) if asked else None
+
+
+def _limit_threads() -> None:
+    """Dr.Jit takes a thread per core, whatever THREADS_VARIABLE says, and those without work cost time. Never more."""
+    limit = _asked_threads() or MOST_THREADS
+    if limit < dr.thread_count():
+        dr.set_thread_count(limit)
+
+
+@contextmanager
+def threads_for(pixels: int):
+    """As many threads as pictures of that many pixels keep busy, where the user does not say how many."""
+    before = dr.thread_count()
+    if _asked_threads() is None:
+        dr.set_thread_count(min(before, max(FEW_THREADS, pixels // THREAD_PIXELS)))
+    try:
+        yield
+    finally:
+        dr.set_thread_count(before)
 
 
 _require_backend()
-_as_many_threads_as_asked()
+_limit_threads()
 
 
 @dataclass(frozen=True)

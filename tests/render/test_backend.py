@@ -117,6 +117,25 @@ def test_dr_jit_takes_as_many_threads_as_asked_and_never_more(asked, expected):
     assert after == (expected or before)
 
 
+@of_cpu
+@pytest.mark.parametrize("asked, expected", [("", "8 4 7 8"), ("12", "12 12 12 12"), ("2", "2 2 2 2")])
+def test_many_cores_are_left_idle_where_a_picture_is_too_small_for_them(asked, expected):
+    """With 16 threads a step on small pictures takes four times as long as with 4."""
+    program = """if True:
+        import drjit as dr
+        dr.set_thread_count(16)
+        from gof.render.backend import threads_for
+        counts = [dr.thread_count()]
+        for pixels in (144 * 256, 7 * 30_000):
+            with threads_for(pixels):
+                counts.append(dr.thread_count())
+        print(*counts, dr.thread_count())
+    """
+    environment = os.environ | {"OMP_NUM_THREADS": asked}
+    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, env=environment)
+    assert done.stdout.strip() == expected, done.stderr
+
+
 MORE_THREADS = """
 import drjit as dr
 import numpy as np
