@@ -107,7 +107,7 @@ Float, Int, UInt, Array2u = _types.Float, _types.Int, _types.UInt, _types.Array2
 
 
 def _asked_threads() -> int | None:
-    """What THREADS_VARIABLE asks for; None: nothing."""
+    """Return the number that THREADS_VARIABLE asks for; None: it asks for none."""
     asked = os.environ.get(THREADS_VARIABLE, "").split(",")[0].strip()
     return int(asked) if asked else None
 
