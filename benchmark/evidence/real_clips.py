@@ -8,9 +8,10 @@ along the optical flow from one to the other. No method may do that for a view t
 compression and noise leave to be had: a scene in 3D that does better has seen through three cameras what one camera
 lost.
 
-Every row is the mean over a clip's held-out pictures; the flame is the estimated mask of `gof.footage.flame_mask`,
-"moves" the pixels that the authors' figures count (`gof.evaluate.authors_figures`). Reconstructions are kept in
-OUT/CLIP/METHOD_SEED and go on where they were, so it may be stopped and started as one likes.
+Every row is the mean over a clip's held-out pictures at full size, as a result is made to be seen, whatever the size it
+was fitted at. The flame is the estimated mask of `gof.footage.flame_mask`, "moves" the pixels that the authors' figures
+count (`gof.evaluate.authors_figures`). Reconstructions are kept in OUT/CLIP/METHOD_SEED and go on where they were, so
+it may be stopped and started as one likes.
 
 `--clocks` says what is believed of the cameras' times: "read", what the dataset says; "frames", that pictures of one
 number are of one moment, as in videos that somebody aligned; "snapshots", that all lines of a picture are of the moment
@@ -40,7 +41,6 @@ from gof.reconstruct.optical_flow import dis
 from gof.reconstruct.pipeline import reconstruct
 from gof.reconstruct.presets import PRESETS, Effort
 from gof.reconstruct.settings import ReconstructionSettings
-from gof.reconstruct.shrink import shrink
 from gof.render import render
 
 Picture = np.ndarray  # (H, W, 3) display values in [0, 1]
@@ -153,8 +153,7 @@ def line(clip: str, name: str, means: np.ndarray, spread: float | None = None, c
 
 def rows_of(path: Path, config: RealClips) -> None:
     """Print those of a clip: the trivial baselines first, then every method."""
-    full = Dataset.open(path)
-    dataset = shrink(full, config.effort.longest_side)
+    dataset = Dataset.open(path)
     trivial_baselines = {
         "the plate alone": lambda c, k: dataset.static(c),
         "mean of the two frames around": mean_of_neighbours(dataset),
@@ -164,19 +163,18 @@ def rows_of(path: Path, config: RealClips) -> None:
         print(line(path.name, name, figures(dataset, draw)), flush=True)
     for method in config.methods:
         for clocks in config.clocks:
-            print(_method_row(path.name, full, method, clocks, config), flush=True)
+            print(_method_row(path.name, dataset, method, clocks, config), flush=True)
 
 
 def _method_row(clip: str, full: Dataset, method: MethodName, clocks: Clocks, config: RealClips) -> str:
     """Reconstruct and score, once for every seed."""
     believed = full if clocks == "read" else believing(full, clocks)
-    dataset = shrink(believed, config.effort.longest_side)
     found, costs = [], []
     for seed in range(config.seeds):
         folder = config.out / clip / "_".join([method, *([] if clocks == "read" else [clocks]), str(seed)])
         settings = ReconstructionSettings.of(believed, config.effort, method=method, seed=seed)
         reconstruct(believed, settings, folder)
-        found.append(figures(dataset, of_result(dataset, folder)))
+        found.append(figures(believed, of_result(believed, folder)))
         costs.append(StageLog(folder / "costs.json").stages())
     seconds = np.mean([sum(stage.seconds for stage in run) for run in costs])
     memory_gb = max(stage.peak_mb for run in costs for stage in run) / 1000
