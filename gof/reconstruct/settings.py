@@ -41,7 +41,7 @@ class ReconstructionSettings:
     """
 
     SCHEMA: ClassVar[str] = "gof-reconstruction-settings"
-    VERSION: ClassVar[int] = 6  # 6: the gas is found on the flow prior's own voxels, and windows are whole blocks
+    VERSION: ClassVar[int] = 7  # 7: the learning rates fall in every run; results of 6 had others
 
     dataset: str
     iterations: int
