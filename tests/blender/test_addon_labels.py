@@ -204,3 +204,39 @@ def test_what_a_page_names_for_scripts_is_there():
     text = "".join(page.read_text(encoding="utf-8") for page in PAGES)
     operators = set(re.findall(r"bpy\.ops\.gof\.(\w+)", text))
     assert len(operators) >= 2 and operators <= set(registered()["operators"])
+
+
+LABELS = {  # field of the spec: its name in an error on the Benchmark panel
+    "fire.radius": "Radius",
+    "fire.position": "Burner",
+    "fire.start_s": "Start",
+    "domain.size": "Domain",
+    "domain.resolution": "Preset (cells)",
+    "clip.fps": "Rate",
+    "cameras.look_at": "Aim",
+    "cameras.focal_mm": "Focal",
+    "cameras.eval_count": "Evaluation",
+    "effects.wind.strength": "Wind: Strength",
+    "effects.rolling_shutter": "Rolling shutter",
+    "fire.json": "fire.json",
+    "render.samples": "render.samples",
+}
+
+
+def test_errors_name_fields_of_the_spec_by_their_labels():
+    """Those without one, files of these names, and all fields of a spec file keep theirs."""
+    found = in_addon(
+        f"""
+        from gof_blender.ui import field_labels
+        fields = {[*LABELS]!r}
+        result["panel"] = [field_labels.in_benchmark_panel(scene, f"lower {{name}}, or") for name in fields]
+        result["fire"] = field_labels.in_fire_panel(scene, "lower domain.resolution")
+        known = (*field_labels.OF_FIRE, *field_labels.OF_CAMERAS, *field_labels.OF_BENCHMARK, *field_labels.OF_PRESET)
+        result["same"] = [name for name in known if field_labels.in_benchmark_panel(scene, name) == name]
+        scene.gof.benchmark.background = "file"
+        result["file"] = [field_labels.in_benchmark_panel(scene, f"lower {{name}}, or") for name in fields]
+        """
+    )
+    assert found["panel"] == [f"lower {label}, or" for label in LABELS.values()]
+    assert found["fire"] == "lower Cells" and found["same"] == []
+    assert found["file"] == [f"lower {name}, or" for name in LABELS]
