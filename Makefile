@@ -8,7 +8,7 @@
 #   make bench   eight functions' CPU seconds against another commit (COMMIT, default HEAD), on this machine
 #   make docs    the documents as a web site (build/site/index.html)
 #   make evidence  the figures that pages quote, measured again where evidence/NAME.json is missing
-#   make dist    wheel, source archive and add-on zip with their checksums (dist/)
+#   make dist    wheel, source archive, add-on zip and sample with their checksums (dist/)
 #   make addon   the Blender add-on as a zip (dist/gaussians_on_fire-VERSION.zip); needs nothing but Python
 # JOBS: how many files of tests run side by side.
 # TORCH: which PyTorch to install, by version only, as builds differ; one that is in the environment already is kept.

@@ -45,7 +45,8 @@ def lay_out(folder: Path) -> Path:
 # The sample's files have two names here, as README and the helps have them; where a command writes is no other work.
 ONE_NAME = (("sample/clip/", ""), ("sample/fire", "data/fire"), ("out/sync", "sync"), ("sample/result", "out/fire"))
 ONE_NAME += (("cam_*.mp4", "cam_0.mp4 cam_1.mp4 cam_2.mp4"), ("data/board", "data/fire"))
-TUTORIALS = {"benchmark": "bpy", "score": "torch", "film": "pycolmap"}  # page: a package beyond the core that it needs
+# Page: a package that it needs, beyond the core.
+TUTORIALS = {"benchmark": "bpy", "score": "torch", "film": "pycolmap", "blender_flame": "gof"}
 
 
 def work_of(line: str) -> str:

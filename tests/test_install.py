@@ -174,6 +174,8 @@ def test_the_installed_version_is_that_of_the_code():
 def test_every_place_has_the_version():
     assert f"\nversion: {gof.__version__}\n" in (ROOT / "CITATION.cff").read_text()
     assert f"\n## {gof.__version__} " in (ROOT / "CHANGELOG.md").read_text()
+    pages = "".join(page.read_text(encoding="utf-8") for page in (ROOT / "docs").rglob("*.md"))
+    assert set(re.findall(r"\bgaussians_on_fire\w*-([\d.]+\d)", pages)) == {gof.__version__}
 
 
 def needed(extra=None):
@@ -304,6 +306,30 @@ def test_wheel_and_sdist_hold_the_tracked_files_and_no_others(tmp_path):
     with tarfile.open(sdist) as archive:
         found = {member.name.split("/", 1)[1] for member in archive if member.isfile()}
     assert found == {path for path in tracked if not path.startswith(".")} | MADE
+
+
+@pytest.mark.checkout
+@pytest.mark.long
+def test_a_release_holds_what_the_page_names(tmp_path):
+    """Its check runs as printed, and sees a file that was tampered with; the flame is where the tutorial has it."""
+    if not ((ROOT / ".git").exists() and shutil.which("sha256sum")):
+        pytest.skip("needs the checkout's git, and sha256sum")
+    made = [sys.executable, "tools/dist.py", "--out", str(tmp_path)]
+    subprocess.run(made, cwd=ROOT, check=True, stdout=subprocess.DEVNULL)
+    page = (ROOT / "docs/install.md").read_text(encoding="utf-8")
+    page = page.split("\n## Without a checkout\n")[1].split("\n## ")[0]
+    named = re.findall(r"^\| `(gaussians_on_fire\S*)`", page, re.MULTILINE)
+    check = re.search(r"^sha256sum .*$", page, re.MULTILINE)[0]
+    assert len(named) == 3 and {"SHA256SUMS", *named} <= {path.name for path in tmp_path.iterdir()}
+    addon, sample, _ = (tmp_path / name for name in named)
+    assert "gaussians_on_fire/blender_manifest.toml" in zipfile.ZipFile(addon).namelist()
+    assert "result/result.npz" in zipfile.ZipFile(sample).namelist()
+    for name in {path.name for path in tmp_path.iterdir()} - {"SHA256SUMS", addon.name, sample.name}:
+        (tmp_path / name).unlink()  # who takes two files only
+    assert subprocess.run(check, shell=True, cwd=tmp_path).returncode == 0
+    with sample.open("ab") as file:
+        file.write(b"tampered")
+    assert subprocess.run(check, shell=True, cwd=tmp_path).returncode != 0
 
 
 # ---------------------------------------------------------------- the lock

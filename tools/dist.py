@@ -1,8 +1,8 @@
-"""Make what a release offers: wheel, source archive and the add-on's zip, with SHA256SUMS.
+"""Make what a release offers: wheel, source archive, the add-on's zip and the sample, with SHA256SUMS.
 
     python tools/dist.py [--out DIR]          what `make dist` runs; needs setuptools 77 or newer
 
-Wheel and zip have the same bytes each time.
+Wheel and zips have the same bytes each time.
 """
 
 from __future__ import annotations
@@ -20,6 +20,7 @@ import build_addon
 import install_matrix
 
 ROOT = Path(__file__).resolve().parents[1]
+SAMPLE = ROOT / "gof/sample/sample.zip"  # for who has Blender and no gof
 
 
 def make(folder: Path) -> list[Path]:
@@ -29,6 +30,8 @@ def make(folder: Path) -> list[Path]:
     with tempfile.TemporaryDirectory() as work:
         built = [Path(shutil.move(path, folder / path.name)) for path in install_matrix.build(Path(work))]
     built.append(build_addon.build(folder))
+    sample = folder / f"{build_addon.NAME}_sample-{build_addon.version()}.zip"
+    built.append(Path(shutil.copyfile(SAMPLE, sample)))
     sums = folder / "SHA256SUMS"
     lines = [f"{hashlib.sha256(path.read_bytes()).hexdigest()}  {path.name}\n" for path in sorted(built)]
     sums.write_text("".join(lines), encoding="utf-8")

@@ -141,16 +141,10 @@ def require_room(spec: SceneSpec, root: Path) -> Prediction:
     Raises:
         SpecError: memory or disk of this machine do not suffice, or it would take years; says which field helps.
     """
+    require_memory(spec)
     machine = known_machine() or REFERENCE
     prediction = predict(spec, machine)
-    memory = memory_mb()
     disk = shutil.disk_usage(next(path for path in (root, *root.parents) if path.exists())).free / 2**20
-    if prediction.memory_mb > ROOM * memory:
-        advice = _advice(spec, lambda other: predict(other, machine).memory_mb, 0.8 * memory)
-        raise SpecError(
-            f"{spec.name}: needs about {prediction.memory_mb / 1000:.3g} GB of memory, this machine has "
-            f"{memory / 1000:.3g} GB, of which {100 * ROOM:.0f} % may be used; {advice}"
-        )
     if prediction.disk_mb > disk:
         advice = _advice(spec, lambda other: predict(other, machine).disk_mb, 0.9 * disk)
         raise SpecError(
@@ -162,6 +156,16 @@ def require_room(spec: SceneSpec, root: Path) -> Prediction:
         years = prediction.total_s / YEAR_S
         raise SpecError(f"{spec.name}: would take this machine about {years:.2g} years; {advice}")
     return prediction
+
+
+def require_memory(spec: SceneSpec) -> None:
+    """Raise SpecError that says which field helps, where this machine has too little memory."""
+    need, memory = _memory_mb(spec), memory_mb()
+    if need > ROOM * memory:
+        raise SpecError(
+            f"{spec.name}: needs about {need / 1000:.3g} GB of memory, this machine has {memory / 1000:.3g} GB, of "
+            f"which {100 * ROOM:.0f} % may be used; {_advice(spec, _memory_mb, 0.8 * memory)}"
+        )
 
 
 def _advice(spec: SceneSpec, cost: Callable[[SceneSpec], float], room: float) -> str:

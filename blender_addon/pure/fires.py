@@ -180,8 +180,11 @@ class Fire:
         sides = zip("xyz", self.position, self.half_size, domain.min, domain.max, strict=True)
         for axis, centre, half, low, high in sides:
             inside = low <= centre - half and centre + half <= high
-            rule = f"such that the emitter lies inside the domain along {axis}"
-            require(inside, "fire.position", rule, self.position)
+            if not inside:
+                raise SpecError(
+                    f"fire.position: the burner reaches from {centre - half:.3g} to {centre + half:.3g} m along "
+                    f"{axis}, the domain from {low:.3g} to {high:.3g} m; move it, or change fire.radius or domain.size"
+                )
 
     def box(self, domain: Domain, timeline: Timeline) -> Domain:
         """Return the box that the flame's cells fill."""

@@ -145,7 +145,7 @@ def world_of_files(scene: bpy.types.Scene, from_fire: bool) -> Matrix:
         return Matrix.Scale(scale, 4)
     marker = place.find(scene, place.PLACE)
     if marker is None:
-        raise SpecError("there is no fire in this scene to count from: press Add Fire, or untick From the Fire")
+        raise SpecError("there is no fire in this scene to count from: press Add Fire, or untick Relative to Fire")
     return place.to_our_world(marker.matrix_world, scale)
 
 

@@ -7,6 +7,8 @@ import bpy
 HAS_DROP = hasattr(bpy.types, "FileHandler")  # files dropped on a window: 4.1 and later
 EEVEE_DRAWS_POINTS = "surface_render_method" in bpy.types.Material.bl_rna.properties
 """EEVEE of 4.2 and later; that of 3.4 draws none, and those between were not tried."""
+BLEND_PATH = {"PATH_SUPPORTS_BLEND_RELATIVE"} if bpy.app.version >= (4, 5) else set()
+"""Options of a path that may begin with //; since 4.5 one without them warns."""
 LINEAR_COLOR_SPACES = ("Linear Rec.709", "Linear")  # the second up to 3.6
 
 

@@ -93,10 +93,10 @@ def _domain(spec: SceneSpec, collection: bpy.types.Collection) -> bpy.types.Obje
 def _emitter(spec: SceneSpec, collection: bpy.types.Collection) -> bpy.types.Object:
     if spec.fire.shape == "logs":
         emitter = meshes.crossed_logs(
-            "Fire Emitter", spec.fire.radius, collection, spec.fire.logs, location=spec.fire.position
+            "Fire Burner", spec.fire.radius, collection, spec.fire.logs, location=spec.fire.position
         )
     else:
-        emitter = meshes.ellipsoid("Fire Emitter", spec.fire.half_size, collection, location=spec.fire.position)
+        emitter = meshes.ellipsoid("Fire Burner", spec.fire.half_size, collection, location=spec.fire.position)
     emitter.hide_render = True
     modifier = emitter.modifiers.new("Fluid", "FLUID")
     modifier.fluid_type = "FLOW"

@@ -21,6 +21,7 @@ from ..scene import bodies, compat, place
 from ..scene.backgrounds import blend_file
 from ..scene.view import require_display
 from . import scene_spec
+from .field_labels import in_benchmark_panel
 from .job_operator import JobOperator, blender
 from .panel import SidebarPanel, number, show_text, write_lines
 
@@ -49,7 +50,9 @@ class GOF_PG_benchmark(bpy.types.PropertyGroup):
             ("file", "Spec File", "A scene spec written for the command line: it replaces the Fire panel's settings"),
         ],
     )
-    spec_file: StringProperty(name="Spec", description="Scene spec (.json)", subtype="FILE_PATH")
+    spec_file: StringProperty(
+        name="Spec", description="Scene spec (.json)", subtype="FILE_PATH", options=compat.BLEND_PATH
+    )
     grids: StringProperty(
         name="Grids",
         description=(
@@ -57,6 +60,7 @@ class GOF_PG_benchmark(bpy.types.PropertyGroup):
             "of the Fire panel's and nothing is simulated; empty: the Fire panel's fire"
         ),
         subtype="DIR_PATH",
+        options=compat.BLEND_PATH,
     )
     start_s: FloatProperty(
         name="Start (s)",
@@ -87,6 +91,7 @@ class GOF_PG_benchmark(bpy.types.PropertyGroup):
         name="Output",
         description="New folder for the dataset, or one to go on with",
         subtype="DIR_PATH",
+        options=compat.BLEND_PATH,
         default="//benchmark",
     )
 
@@ -167,6 +172,12 @@ class GOF_OT_bake_render(JobOperator, bpy.types.Operator):
 
     def begin(self, context) -> Job:
         """Return a job whose folder is claimed and which fits this machine."""
+        try:
+            return self._claimed(context)
+        except SpecError as error:
+            raise SpecError(in_benchmark_panel(context.scene, str(error))) from error
+
+    def _claimed(self, context) -> Job:
         spec, layout = planned(context.scene)
         notes = require_sense(spec, files=not _brings_its_scene(spec, layout))
         require_display(spec.display)
@@ -178,7 +189,7 @@ class GOF_OT_bake_render(JobOperator, bpy.types.Operator):
                 _in_this_scene(context, spec, again=True) if brings else dataset_process.scene_notes(spec, blender())
             )
         for note in notes:
-            self.report({"WARNING"}, note)
+            self.report({"WARNING"}, in_benchmark_panel(context.scene, note))
         layout.claim(spec)
         if _brings_its_scene(spec, layout) and not layout.bake_marker.is_file():
             _copy_scene(context.scene, layout.background)
@@ -245,7 +256,7 @@ class GOF_OT_open_benchmark(bpy.types.Operator):
         try:
             _, layout = planned(context.scene)
         except (GofError, OSError) as error:
-            self.report({"ERROR"}, str(error))
+            self.report({"ERROR"}, in_benchmark_panel(context.scene, str(error)))
             return {"CANCELLED"}
         path = {"report": layout.report, "log": layout.job_log, "folder": layout.root}[self.what]
         if not path.exists():
@@ -294,14 +305,14 @@ class GOF_PT_benchmark(SidebarPanel, bpy.types.Panel):
             spec = spec_of(context.scene, Path(BACKGROUND).absolute())
             notes = require_sense(spec, files=context.scene.gof.benchmark.background == "file")
         except (GofError, OSError) as error:
-            write_lines(layout, context, str(error), "ERROR")
+            write_lines(layout, context, in_benchmark_panel(context.scene, str(error)), "ERROR")
             return
         try:
             spec, folders = planned(context.scene)
             folders.require_free(spec)
         except (GofError, OSError) as error:
             _draw_cost(layout.box(), context, spec, None)
-            write_lines(layout, context, str(error), "ERROR")
+            write_lines(layout, context, in_benchmark_panel(context.scene, str(error)), "ERROR")
             return
         if folders.description.is_file():
             made = time.strftime("%Y-%m-%d %H:%M", time.localtime(folders.description.stat().st_mtime))
@@ -311,9 +322,11 @@ class GOF_PT_benchmark(SidebarPanel, bpy.types.Panel):
         if _brings_its_scene(spec, folders) and not folders.bake_marker.is_file():
             notes += _in_this_scene(context, spec, again=False)
         for note in (*notes, *_unused(context.scene), *leaving(folders)):
-            write_lines(layout, context, note, "INFO")
-        text = "Resume" if folders.spec.is_file() else "Bake & Render"
-        layout.operator(GOF_OT_bake_render.bl_idname, text=text, icon="RENDER_ANIMATION")
+            write_lines(layout, context, in_benchmark_panel(context.scene, note), "INFO")
+        begun = folders.spec.is_file()
+        layout.operator(
+            GOF_OT_bake_render.bl_idname, text="Resume" if begun else "Bake & Render", icon="RENDER_ANIMATION"
+        )
 
 
 def _unused(scene: bpy.types.Scene) -> list[str]:

@@ -26,7 +26,7 @@ class GOF_OT_export_cameras(bpy.types.Operator, ExportHelper):
     filename_ext = ".json"
     check_extension = None  # the name says which of the formats
     filter_glob: bpy.props.StringProperty(default="*.json;*.txt;*.usd;*.usdc;*.usda;*.abc", options={"HIDDEN"})
-    from_fire: bpy.props.BoolProperty(name="From the Fire", description=f"{FROM_FIRE}. Not for USD and Alembic")
+    from_fire: bpy.props.BoolProperty(name="Relative to Fire", description=f"{FROM_FIRE}. Not for USD and Alembic")
 
     def execute(self, context):
         path, scene = Path(bpy.path.abspath(self.filepath)), context.scene
@@ -58,7 +58,7 @@ class GOF_OT_import_cameras(bpy.types.Operator, ImportHelper):
     bl_options = {"UNDO"}
 
     filter_glob: bpy.props.StringProperty(default="*.json;*.txt;*.bin;*.usd;*.usdc;*.usda;*.abc", options={"HIDDEN"})
-    from_fire: bpy.props.BoolProperty(name="From the Fire", description=FROM_FIRE)
+    from_fire: bpy.props.BoolProperty(name="Relative to Fire", description=FROM_FIRE)
     rig: bpy.props.BoolProperty(
         name="As the Rig",
         default=True,

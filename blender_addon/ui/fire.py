@@ -5,10 +5,12 @@ from bpy.props import EnumProperty, FloatProperty, FloatVectorProperty, IntPrope
 
 from ..core.checked_json import SpecError
 from ..core.errors import GofError
+from ..pure import cost_model
 from ..pure.fires import LEAST_LOGS, MOST_LOGS
 from ..pure.fuels import FUELS
 from ..scene import baked, place
 from . import effect_groups, scene_spec
+from .field_labels import in_fire_panel
 from .panel import SidebarPanel, number, vector, write_lines
 
 
@@ -203,7 +205,7 @@ class _SpecOperator:
         try:
             self.build(context, scene_spec.of_settings(context.scene))
         except GofError as error:
-            self.report({"ERROR"}, str(error))
+            self.report({"ERROR"}, in_fire_panel(context.scene, str(error)))
             return {"CANCELLED"}
         return {"FINISHED"}
 
@@ -218,10 +220,11 @@ class GOF_OT_add_fire(_SpecOperator, bpy.types.Operator):
         scene = context.scene
         spot = scene.cursor.location.copy()
         if scene.gof.fire.spot == "OBJECT":
-            thing = context.active_object
-            if thing is None or place.part_of(thing):
+            thing, there = context.active_object, place.find(scene, place.PLACE)
+            if thing is None or (place.part_of(thing) and there is None):
                 raise SpecError("there is no active object to burn: click one, or choose At the Cursor")
-            spot = place.on_top_of(thing)
+            spot = there.location.copy() if place.part_of(thing) else place.on_top_of(thing)  # itself: it stays
+        cost_model.require_memory(spec)  # Blender itself ends where a simulation does not fit
         place.add_fire(spec, scene, place.mark(scene, spot))
         self.report({"INFO"}, "Play the animation to see it burn, or make a benchmark of it")
 

@@ -115,7 +115,7 @@ class GOF_OT_import_result(bpy.types.Operator, ImportHelper):
     )
     step: bpy.props.IntProperty(name="Every n-th", default=1, min=1, description="Import every n-th Gaussian only")
     everything: bpy.props.BoolProperty(
-        name="However Many", description="Do not ask back when there are millions", options={"SKIP_SAVE"}
+        name="No Limit", description="Import more than two million Gaussians at once", options={"SKIP_SAVE"}
     )
     fps: bpy.props.FloatProperty(
         name="Files (per s)",
@@ -166,7 +166,7 @@ class GOF_OT_import_result(bpy.types.Operator, ImportHelper):
                 raise DataFormatError(
                     f"{number:,} Gaussians: about {number * SECONDS_EACH:.0f} s to import, "
                     f"{number * BYTES_EACH / 1e9:.1f} GB of memory and {number * FRAME_SECONDS_EACH:.1f} s per frame. "
-                    f"Set Every n-th to {-(-number * self.step // MANY)} or more, or tick However Many"
+                    f"Set Every n-th to {-(-number * self.step // MANY)} or more, or tick No Limit"
                 )
             cloud = clouds.load(source, clock, self.step)
         except (GofError, OSError, MemoryError) as error:

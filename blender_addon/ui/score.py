@@ -7,7 +7,7 @@ import bpy
 from ..core.errors import GofError
 from ..pure import dve
 from ..pure.score_process import Evaluation
-from ..scene import error_cloud, point_cloud, result_file
+from ..scene import compat, error_cloud, point_cloud, result_file
 from . import preferences
 from .job_operator import JobOperator, blender
 from .panel import SidebarPanel, write_lines
@@ -19,17 +19,22 @@ class GOF_PG_score(bpy.types.PropertyGroup):
     """``scene.gof.score``."""
 
     dataset: bpy.props.StringProperty(
-        name="Dataset", subtype="DIR_PATH", description="Folder of the dataset with the true velocity"
+        name="Dataset",
+        subtype="DIR_PATH",
+        description="Folder of the dataset with the true velocity",
+        options=compat.BLEND_PATH,
     )
     result: bpy.props.StringProperty(
         name="Result",
         subtype="FILE_PATH",
+        options=compat.BLEND_PATH,
         description="The file that the reconstruction was imported from, where the add-on does not find it: a .blend "
         "keeps its name and not its folder",
     )
     python: bpy.props.StringProperty(
         name="Python",
         subtype="FILE_PATH",
+        options=compat.BLEND_PATH,
         description="Python that gof is installed in, such as .venv/bin/python; the preferences keep one for all "
         "files. Without one the add-on scores by itself, with the same numbers",
     )

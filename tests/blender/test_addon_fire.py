@@ -1,5 +1,7 @@
 """The Fire panel: the generator's own fire and cameras as data of the user's scene, found again and read back."""
 
+import re
+
 import numpy as np
 import pytest
 
@@ -98,7 +100,7 @@ def test_parts_are_those_the_generator_builds():
         build.scene(replace(spec, background="studio"))
         scene_ = bpy.context.scene
         bpy.context.view_layer.update()
-        domain, emitter = bpy.data.objects["Fire Domain"], bpy.data.objects["Fire Emitter"]
+        domain, emitter = bpy.data.objects["Fire Domain"], bpy.data.objects["Fire Burner"]
         result["its"] = facts(domain, emitter, [bpy.data.objects[n] for n in names], Vector((0, 0, 0)))
     """)
     assert found["ours"] == found["its"]
@@ -115,10 +117,14 @@ def test_place_at_the_cursor_on_an_object_and_in_centimetres():
         fire.spot = "OBJECT"
         bpy.ops.gof.add_fire()
         result["cube"] = list(place.find(scene, "place").location)
-        bpy.context.view_layer.objects.active = place.find(scene, "emitter")
-        result["itself"] = message(bpy.ops.gof.add_fire)
+        place.find(scene, "place").location.y = 2
+        bpy.context.view_layer.objects.active = place.find(scene, "place")
+        bpy.ops.gof.add_fire()
+        result["itself"] = list(place.find(scene, "place").location)
         for thing in [t for t in scene.objects if place.part_of(t)]:
             bpy.data.objects.remove(thing)
+        bpy.context.view_layer.objects.active = None
+        result["none"] = message(bpy.ops.gof.add_fire)
         scene.unit_settings.scale_length = 0.01
         fire.spot = "CURSOR"
         bpy.ops.gof.add_fire(); bpy.ops.gof.add_cameras()
@@ -128,7 +134,8 @@ def test_place_at_the_cursor_on_an_object_and_in_centimetres():
     """)
     assert found["cursor"] == [1, 2, 3]
     np.testing.assert_allclose(found["cube"], [5, 0, 1], atol=1e-6)
-    assert "there is no active object to burn" in found["itself"]
+    np.testing.assert_allclose(found["itself"], [5, 2, 1], atol=1e-6)
+    assert "there is no active object to burn" in found["none"]
     np.testing.assert_allclose(found["size"], [80, 80, 160], rtol=1e-5)
     assert found["same"], "a scene in centimetres is the same spec"
 
@@ -248,8 +255,10 @@ def test_bad_settings_are_named_and_change_nothing():
         result["radius"] = message(bpy.ops.gof.add_fire)
         fire.radius, fire.effects.fine_noise.use, fire.effects.fine_noise.scale = 0.1, True, 99
         result["noise"] = message(bpy.ops.gof.add_fire)
+        fire.effects.fine_noise.use, fire.resolution = False, 2048
+        result["cells"] = message(bpy.ops.gof.add_fire)
+        fire.resolution = 16
         result["parts"] = parts()
-        fire.effects.fine_noise.use = False
         bpy.ops.gof.add_cameras()
         views = []
         for _ in range(4):
@@ -261,8 +270,10 @@ def test_bad_settings_are_named_and_change_nothing():
         result["size"] = [scene.render.resolution_x, scene.render.resolution_y]
         result["cameras"] = len(place.cameras(scene))
     """)
-    assert "emitter lies inside the domain" in found["radius"]
-    assert "effects.fine_noise.scale must be between 2 and 8" in found["noise"]
+    x = "the burner reaches from -0.6 to 0.6 m along x, the domain from -0.4 to 0.4 m"
+    assert f"Burner: {x}; move it, or change Radius or Domain\n" in found["radius"]
+    assert "Fine noise: Scale must be between 2 and 8" in found["noise"]
+    assert re.search(r"needs about \d+ GB of memory.* lower Cells from 2048 to \d+", found["cells"])
     assert found["parts"] == []
     assert found["views"] == ["cam_1", "cam_2", "cam_0", "cam_1"]
     assert found["size"] == [1280, 720] and found["cameras"] == 3

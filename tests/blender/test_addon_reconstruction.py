@@ -301,9 +301,9 @@ for name in ("unsure", "silent"):
         ("cut.npz", "", "not a readable npz"),
         ("none.npz", "", "0 points"),
         ("nan.npz", "", "NaN or Inf"),
-        ("clip.ftgs.ply", "", "set Clip Length"),
+        ("clip.ftgs.ply", "", "set Clip ("),
         ("huge.ply", "", "Set Every n-th to 5 or more"),
-        ("huge.ply", "step=3", "tick However Many"),
+        ("huge.ply", "step=3", "tick No Limit"),
     ],
 )
 def test_bad_input_is_an_error_and_changes_nothing(folder, bad_files, name, options, message):

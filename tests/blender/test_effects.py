@@ -269,7 +269,7 @@ def test_noise_and_motion_reach_the_bake_and_nothing_else_does(gas_run, camera_r
         bpy.ops.wm.open_mainfile(filepath=sys.argv[1])
         for frame in (1, 6):
             bpy.context.scene.frame_set(frame)
-            result[str(frame)] = list(bpy.data.objects["Fire Emitter"].matrix_world.translation)
+            result[str(frame)] = list(bpy.data.objects["Fire Burner"].matrix_world.translation)
         result["noise"] = find_flame().modifiers["Fluid"].domain_settings.use_noise
     """,
         gas_run.blend,

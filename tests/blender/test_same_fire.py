@@ -110,8 +110,8 @@ def generate(folder: Path, spec: str, out: str, *options: str) -> None:
 @pytest.mark.parametrize(
     ("effects", "keyed"),
     [
-        ((), {"Fire Emitter"}),
-        ((wind.Settings(gusts=0.5), moving_emitter.Settings()), {"Fire Emitter", "Wind"}),
+        ((), {"Fire Burner"}),
+        ((wind.Settings(gusts=0.5), moving_emitter.Settings()), {"Fire Burner", "Wind"}),
     ],
 )
 def test_the_solver_waits_for_all_that_is_keyed(tmp_path, effects, keyed):

@@ -110,7 +110,7 @@ def test_effects_ask_for_steps_between_frames_and_for_what_the_shutter_sees():
         (("name",), "..", "name must be a plain file name"),
         (("name",), "a\nb\0", "name must be a plain file name"),
         (("fire", "fuel"), "plutonium", "fire.fuel must be one of"),
-        (("fire", "position"), [0, 0, 9], "lies inside the domain along z"),
+        (("fire", "position"), [0, 0, 9], r"fire\.position: the burner reaches from .* along z, the domain from"),
         (("cameras", "roll_deg"), 45, "cameras.roll_deg must be one of"),
         (("cameras", "count"), 0, "cameras.count must be at least 1"),
         (("background",), "moon", "background must be one of"),

@@ -139,7 +139,7 @@ def _of_file(path: Path, clock: Clock, step: int) -> GaussianCloud:
         ply = Ply.read(path, step)
         if ftgs.matches(ply):
             values, facts = ftgs.read(ply)
-            remedy = "set Clip Length (first to last frame)"
+            remedy = "set Clip (seconds from the first to the last frame)"
             start, unit = ftgs.place_in_time(path, facts, 0.0, clock.clip_s, 1 / clock.fps, remedy)
             return GaussianCloud(**ftgs.moving(values, facts, start, unit).arrays())
         if any(map(ply.has, results.PROPERTIES)):
