@@ -224,7 +224,9 @@ def _states(prim: Any, matrices: np.ndarray, clock: _Clock) -> tuple[_States | N
         velocity=None if velocity is None else np.zeros((steps, count, 3), np.float32),
         present=np.zeros((steps, count), bool),
     )
-    drifts = np.gradient(matrices, clock.times_s, axis=0, edge_order=2 if steps > 2 else 1)
+    drifts = np.zeros_like(matrices)  # of the prim's space itself, per second
+    if np.ptp(matrices, axis=0).any():
+        drifts = np.gradient(matrices, clock.times_s, axis=0, edge_order=2 if steps > 2 else 1)
     brightest = np.full(count, -1.0)
     for k, (code, places, row) in enumerate(zip(clock.codes, position, rows, strict=True)):
         if not len(row):
@@ -237,7 +239,7 @@ def _states(prim: Any, matrices: np.ndarray, clock: _Clock) -> tuple[_States | N
             array = getattr(part, name)
             array[k if len(array) > 1 else 0, row] = state[name]
         if velocity is not None and part.velocity is not None:
-            linear, drift = matrices[k, :3, :3] / clock.stretch, drifts[k]  # of the prim's space itself
+            linear, drift = matrices[k, :3, :3] / clock.stretch, drifts[k]
             own = velocity[k] @ linear.T
             part.velocity[k, row] = own + places @ drift[:3, :3].T + drift[:3, 3]
         if colored:
@@ -263,11 +265,14 @@ def _ways(prim: Any, clock: _Clock) -> tuple[list[np.ndarray], list[np.ndarray],
         raise DataFormatError(f"{prim.GetPath()}: has no 'positions'; export the splats again")
     position = [np.zeros((0, 3)) if values is None else values for values in found]
     sizes = [len(values) for values in position]
-    samples = list(zip(clock.codes, sizes, strict=True))
+    samples, notes = list(zip(clock.codes, sizes, strict=True)), []
     velocity = [usd_stage.read_values(prim, "velocity", code, n) for code, n in samples]
     ids = [i for code, n in samples if (i := usd_stage.read_values(prim, "id", code, n)) is not None]
     known = [values for values in velocity if values is not None]
     stored = known if len(known) == len(sizes) else None
+    moved = len(set(sizes)) > 1 or any((values != position[0]).any() for values in position)
+    if stored is not None and moved and not any(values.any() for values in stored):
+        stored, notes = None, ["its velocities are all 0 although places change, and are left aside"]
     if len(ids) == len(sizes):
         rows = np.unique(np.concatenate(ids), return_inverse=True)[1].reshape(-1)
         parts = np.split(rows, np.cumsum(sizes)[:-1])
@@ -276,9 +281,9 @@ def _ways(prim: Any, clock: _Clock) -> tuple[list[np.ndarray], list[np.ndarray],
                 raise DataFormatError(
                     f"{prim.GetPath()}: an id occurs twice at time code {code:g}; number the Gaussians"
                 )
-        return position, parts, stored, ["Gaussians followed by their ids"]
+        return position, parts, stored, [*notes, "Gaussians followed by their ids"]
     if len(set(sizes)) == 1:
-        return position, [np.arange(sizes[0])] * len(sizes), stored, []
+        return position, [np.arange(sizes[0])] * len(sizes), stored, notes
     said = f"its samples hold {min(sizes)} to {max(sizes)} Gaussians and no ids"
     if stored is None:
         raise DataFormatError(
@@ -345,15 +350,12 @@ def _filled(part: _States, times_s: np.ndarray) -> tuple[_States, list[str]]:
 
 
 def _doubted(part: _States, times_s: np.ndarray) -> list[str]:
-    """Return a note where velocities that are stored say another thing than the places; zeros that do are dropped."""
+    """Return a note where velocities that are stored say another thing than the places."""
     k = len(times_s) // 2
     first, last = max(k - 1, 0), min(k + 1, len(times_s) - 1)
     both = (part.present[[first, k, last]]).all(0)
     if part.velocity is None or not both.any():
         return []
     change = (part.position[last] - part.position[first])[both] / (times_s[last] - times_s[first])
-    if change.any() and not part.velocity.any():
-        part.velocity = None
-        return ["its velocities are all 0 although places change: differences taken"]
     off = np.linalg.norm(part.velocity[k][both] - change) / max(float(np.linalg.norm(change)), 1e-12)
     return [f"its velocities differ from its places' differences by {off:.0%}"] if off > DOUBT else []

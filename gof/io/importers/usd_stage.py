@@ -49,12 +49,20 @@ def open_stage(path: Path) -> Iterator[Any]:
             stage = Usd.Stage.Open(str(path))
             stage.Reload()  # what another reader holds of the file may be old
             yield stage
-        except Tf.ErrorException as e:
-            said = re.findall(r" : '(.+)", str(e))
-            reason = said[0].strip(" '")[:200] if said else type(e).__name__
-            raise DataFormatError(f"OpenUSD cannot read it ({reason}): damaged, cut off, or of a later version?") from e
+        except (Tf.ErrorException, UnicodeError) as e:  # names in a damaged file may be no text
+            raise DataFormatError(
+                f"OpenUSD cannot read it ({_reason(e)}): damaged, cut off, or of a later version?"
+            ) from e
         finally:
-            trap.Dismiss()
+            trap.Clear()
+
+
+def _reason(error: Exception) -> str:
+    try:
+        said = re.findall(r" : '(.+)", str(error))
+    except UnicodeError:  # it quotes bytes of the file
+        said = []
+    return said[0].strip(" '")[:200] if said else type(error).__name__
 
 
 def find_splats(stage: Any) -> tuple[list[Any], list[str]]:
@@ -117,8 +125,8 @@ def find_samples(prims: list[Any]) -> np.ndarray:
         raise DataFormatError("has time samples at times that are no numbers")
     if len(codes) > MOST_FRAMES:
         raise DataFormatError(f"has {len(codes)} time samples; gof reads {MOST_FRAMES} at most")
-    steps = np.diff(codes)
-    return codes[np.concatenate([[True], steps > SAME_TIME * np.median(steps)])] if len(steps) else codes
+    steps = np.diff(codes)  # the last of several that are one: what is not interpolated is held from then on
+    return codes[np.concatenate([steps > SAME_TIME * np.quantile(steps, 0.9), [True]])] if len(steps) else codes
 
 
 def to_world(stage: Any, prim: Any, codes: np.ndarray) -> np.ndarray:
@@ -180,7 +188,7 @@ def read_array(prim: Any, name: str, width: int, code: float, count: int | None)
         raise DataFormatError(f"{where} holds NaN or Inf (rows {rows}); leave these Gaussians out")
     if count is not None and len(values) != count:
         raise DataFormatError(f"{where} has {len(values)} entries for {count} Gaussians; export one for each")
-    return values
+    return values.astype(np.float32) if values.dtype == np.float16 else values  # products of halves stay halves
 
 
 def read_state(prim: Any, code: float, matrix: np.ndarray, places: np.ndarray, colored: bool) -> dict[str, np.ndarray]:
