@@ -299,6 +299,35 @@ def test_gaussians_that_come_and_go_are_followed_by_their_ids(tmp_path, stored):
         assert not np.delete(state.opacity, row).any(), "what is not there is not seen"
 
 
+def test_ids_in_another_order_an_empty_sample_and_an_empty_prim(tmp_path):
+    """Sizes that hold at all times count by place in the array, so they go with the order, not with the ids."""
+    stages.openusd()
+    x0, v = np.random.default_rng(3).normal(size=(2, 4, 3))
+    stage, size = stages.new(tmp_path / "a.usda"), np.linspace(0.1, 0.4, 4)
+    samples = {k: {"positions": (x0 + v * 0.02 * k)[np.roll(np.arange(4), k)]} for k in range(5)}
+    for k in samples:
+        samples[k] |= {"primvars:id": np.roll(np.arange(4), k)}
+    still = {"scales": np.tile(size[:, None], 3), "opacities": np.full(4, 0.5)}
+    stages.splats(stage, "/a", samples, **still)
+    stages.splats(stage, "/none", {}, positions=np.zeros((0, 3)))
+    stage.Save()
+    imported = read_result(tmp_path / "a.usda")
+    assert any("/none: holds no Gaussian" in note for note in imported.notes)
+    for k in range(5):
+        state = imported.gaussians.state_at(0.02 * k)
+        np.testing.assert_allclose(state.position, x0 + v * 0.02 * k, atol=1e-6)
+        np.testing.assert_allclose(state.velocity, v, atol=2e-5)
+        np.testing.assert_allclose(state.scale[np.roll(np.arange(4), k), 0], size, atol=1e-6)
+    stage = stages.new(tmp_path / "late.usda")
+    late = {k: {"positions": x0 + v * 0.02 * k, "primvars:id": np.arange(4), **plain(4)} for k in range(1, 5)}
+    empty = {"positions": [], "scales": [], "opacities": []}
+    stages.splats(stage, "/a", {0: empty} | late)
+    stage.Save()
+    g = read_result(tmp_path / "late.usda").gaussians
+    assert not g.opacity[0].any()
+    np.testing.assert_allclose(g.state_at(0.02).velocity, v, atol=2e-5)
+
+
 def test_gaussians_without_ids_may_change_their_number_where_velocities_are_stored(tmp_path):
     stages.openusd()
     x0, v = np.random.default_rng(3).normal(size=(2, N, 3))

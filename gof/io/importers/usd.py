@@ -157,11 +157,13 @@ class _States:
 
 def _trajectory(prims: list[Any], places: list[np.ndarray], clock: _Clock) -> tuple[Trajectory, list[str]]:
     """Return all prims' Gaussians at the samples, and notes. Raises DataFormatError: nothing moves."""
-    parts, notes = [], []
-    for prim, matrices in zip(prims, places, strict=True):
-        part, said = _states(prim, matrices, clock) if len(clock.codes) > 1 else (None, [])
+    parts, paths, notes = [], [], []
+    for prim, matrices in zip(prims, places, strict=True) if len(clock.codes) > 1 else ():
+        part, said = _states(prim, matrices, clock)
         notes += [f"{prim.GetPath()}: {words}" for words in said]
-        parts += [part] if part is not None else []
+        if part is not None:
+            parts.append(part)
+            paths.append(str(prim.GetPath()))
     moves = [part.moves for part in parts]
     if not any(moves):
         raise DataFormatError(
@@ -184,7 +186,7 @@ def _trajectory(prims: list[Any], places: list[np.ndarray], clock: _Clock) -> tu
         color=color if degree > 1 else 0.5 + C0 * color[:, 0],
         dynamic=np.repeat(moves, [part.position.shape[1] for part in parts]),
     )
-    still = [str(prim.GetPath()) for prim, moving in zip(prims, moves, strict=True) if not moving]
+    still = [path for path, moving in zip(paths, moves, strict=True) if not moving]
     notes += [f"{', '.join(still[:3])}: stands still, taken as background"] if still else []
     return trajectory, [*difference_notes(trajectory), *notes]
 
@@ -213,7 +215,7 @@ def _states(prim: Any, matrices: np.ndarray, clock: _Clock) -> tuple[_States | N
             f"{prim.GetPath()}: {count:,} Gaussians at {steps} samples are more than gof reads; split the file in time"
         )
     whole = all(len(row) == count for row in rows)
-    turns = np.ptp(matrices, axis=0).any() or not whole
+    turns = np.ptp(matrices, axis=0).any() or not all(np.array_equal(row, rows[0]) for row in rows)
     varies = {kind: turns or usd_stage.may_vary(prim, kind) for kind in usd_stage.NAMES}
     part = _States(
         position=np.zeros((steps, count, 3), np.float32),
@@ -266,14 +268,12 @@ def _ways(prim: Any, clock: _Clock) -> tuple[list[np.ndarray], list[np.ndarray],
     position = [np.zeros((0, 3)) if values is None else values for values in found]
     sizes = [len(values) for values in position]
     samples, notes = list(zip(clock.codes, sizes, strict=True)), []
-    velocity = [usd_stage.read_values(prim, "velocity", code, n) for code, n in samples]
-    ids = [i for code, n in samples if (i := usd_stage.read_values(prim, "id", code, n)) is not None]
-    known = [values for values in velocity if values is not None]
-    stored = known if len(known) == len(sizes) else None
+    stored = _at_all(prim, "velocity", samples, np.zeros((0, 3)))
+    ids = _at_all(prim, "id", samples, np.zeros(0, np.int64))
     moved = len(set(sizes)) > 1 or any((values != position[0]).any() for values in position)
     if stored is not None and moved and not any(values.any() for values in stored):
         stored, notes = None, ["its velocities are all 0 although places change, and are left aside"]
-    if len(ids) == len(sizes):
+    if ids is not None:
         rows = np.unique(np.concatenate(ids), return_inverse=True)[1].reshape(-1)
         parts = np.split(rows, np.cumsum(sizes)[:-1])
         for code, part in zip(clock.codes, parts, strict=True):
@@ -297,6 +297,13 @@ def _ways(prim: Any, clock: _Clock) -> tuple[list[np.ndarray], list[np.ndarray],
         stored,
         [f"{said}: new ones in each"],
     )
+
+
+def _at_all(prim: Any, kind: str, samples: list[tuple[float, int]], none: np.ndarray) -> list[np.ndarray] | None:
+    """Return what a prim says at each (time code, count), `none` where it has no Gaussian; None: not at all of them."""
+    found = [usd_stage.read_values(prim, kind, code, count) if count else none for code, count in samples]
+    known = [values for values in found if values is not None]
+    return known if len(known) == len(found) else None
 
 
 def _brightest(color: np.ndarray, brightest: np.ndarray, row: np.ndarray, state: dict[str, np.ndarray]) -> np.ndarray:
@@ -357,5 +364,7 @@ def _doubted(part: _States, times_s: np.ndarray) -> list[str]:
     if part.velocity is None or not both.any():
         return []
     change = (part.position[last] - part.position[first])[both] / (times_s[last] - times_s[first])
-    off = np.linalg.norm(part.velocity[k][both] - change) / max(float(np.linalg.norm(change)), 1e-12)
+    stored = part.velocity[k][both]
+    longest = max(float(np.linalg.norm(change)), float(np.linalg.norm(stored)), 1e-12)
+    off = np.linalg.norm(stored - change) / longest
     return [f"its velocities differ from its places' differences by {off:.0%}"] if off > DOUBT else []

@@ -5,6 +5,7 @@ Every error names the prim. OpenUSD's own library does the reading; where it is 
 
 from __future__ import annotations
 
+import importlib
 import re
 from collections import Counter
 from collections.abc import Iterator
@@ -39,10 +40,15 @@ NAMES = {
 WIDTHS = {"opacity": 1, "rotation": 4, "id": 1}  # of an entry, where it is not 3
 
 
+def _part(name: str) -> Any:
+    """Return a module of OpenUSD, which `gof.io.usd.library` has looked for before."""
+    return importlib.import_module(f"pxr.{name}")
+
+
 @contextmanager
 def open_stage(path: Path) -> Iterator[Any]:
     """Give a stage of the file. Raises DataFormatError: OpenUSD cannot read it, or something in it."""
-    from pxr import Tf, Usd
+    Tf, Usd = map(_part, ("Tf", "Usd"))
 
     with Tf.DiagnosticTrap() as trap:  # what OpenUSD would print: what matters of it is said in the notes
         try:
@@ -71,7 +77,7 @@ def find_splats(stage: Any) -> tuple[list[Any], list[str]]:
     Raises:
         DataFormatError: there are none, or some that cannot be unfolded.
     """
-    from pxr import Usd, UsdGeom, UsdVol
+    Usd, UsdGeom, UsdVol = map(_part, ("Usd", "UsdGeom", "UsdVol"))
 
     found, others, hidden = [], Counter[str](), []
     lost = [str(error).partition(" introduced by")[0] for error in stage.GetCompositionErrors()]
@@ -107,7 +113,7 @@ def find_splats(stage: Any) -> tuple[list[Any], list[str]]:
 
 def find_samples(prims: list[Any]) -> np.ndarray:
     """Return (T,) the time codes at which anything that is read is sampled, increasing; empty: nothing changes."""
-    from pxr import UsdGeom
+    UsdGeom = _part("UsdGeom")
 
     found: set[float] = set()
     for prim in prims:
@@ -131,7 +137,7 @@ def find_samples(prims: list[Any]) -> np.ndarray:
 
 def to_world(stage: Any, prim: Any, codes: np.ndarray) -> np.ndarray:
     """Return (T, 4, 4) from a prim's space to metres, Z up. Raises DataFormatError: one is no similarity."""
-    from pxr import UsdGeom
+    UsdGeom = _part("UsdGeom")
 
     metres = UsdGeom.GetStageMetersPerUnit(stage)
     if not 0 < metres < np.inf:
@@ -155,7 +161,7 @@ def to_world(stage: Any, prim: Any, codes: np.ndarray) -> np.ndarray:
 
 def world_in_words(stage: Any) -> str:
     """Return a note on what the world was taken for."""
-    from pxr import UsdGeom
+    UsdGeom = _part("UsdGeom")
 
     unsaid = "" if UsdGeom.StageHasAuthoredMetersPerUnit(stage) else ", as USD has it where a file says nothing"
     axis, metres = str(UsdGeom.GetStageUpAxis(stage)).lower(), UsdGeom.GetStageMetersPerUnit(stage)
@@ -193,7 +199,7 @@ def read_array(prim: Any, name: str, width: int, code: float, count: int | None)
 
 def read_state(prim: Any, code: float, matrix: np.ndarray, places: np.ndarray, colored: bool) -> dict[str, np.ndarray]:
     """Return position, opacity, scale, rotation and color of a prim's Gaussians at a time, in metres, Z up."""
-    from pxr import UsdGeom
+    UsdGeom = _part("UsdGeom")
 
     count = len(places)
     opacity, scale = read_values(prim, "opacity", code, count), read_values(prim, "scale", code, count)
@@ -230,7 +236,7 @@ def read_state(prim: Any, code: float, matrix: np.ndarray, places: np.ndarray, c
 
 def read_colour(prim: Any, code: float, count: int) -> np.ndarray:
     """Return (count, K, 3) harmonics: stored, or of the prim's display colours, which are linear light; else grey."""
-    from pxr import UsdGeom
+    UsdGeom = _part("UsdGeom")
 
     stored = read_values(prim, "harmonics", code)
     if stored is not None:
