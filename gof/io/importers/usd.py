@@ -90,7 +90,7 @@ def _closed_form(
     prim = prims[0]
     if any(not prim.GetAttribute(f"primvars:{name}") for name in u.CLOSED_FORM):
         return None, []
-    aside = [f"{prim.GetPath()}: gof's closed form (and a gas velocity) is left aside, since "]
+    aside = [f"{prim.GetPath()}: gof's closed form is left aside, since "]
     if u.START not in layer or len(prims) > 1 or not len(codes) or np.ptp(places[0], axis=0).any():
         return None, [f"{aside[0]}it stands in another scene now; its samples are read"]
     first, start_s = stage.GetStartTimeCode(), float(layer[u.START])
@@ -367,4 +367,6 @@ def _doubted(part: _States, times_s: np.ndarray) -> list[str]:
     stored = part.velocity[k][both]
     longest = max(float(np.linalg.norm(change)), float(np.linalg.norm(stored)), 1e-12)
     off = np.linalg.norm(stored - change) / longest
-    return [f"its velocities differ from its places' differences by {off:.0%}"] if off > DOUBT else []
+    return (
+        [f"its velocities differ from its places' differences by {off:.0%}, as those of gas may"] if off > DOUBT else []
+    )

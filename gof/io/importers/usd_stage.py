@@ -34,7 +34,7 @@ NAMES = {
     "rotation": ("orientations", "orientationsh"),
     "harmonics": (HARMONICS, f"{HARMONICS}h"),
     "colour": (COLOUR, f"{COLOUR}:indices"),
-    "velocity": ("velocities", "primvars:velocities", "primvars:velocity"),
+    "velocity": ("velocities", "primvars:velocities", "primvars:gas_velocity", "primvars:velocity"),  # gas is scored
     "id": ("ids", "primvars:ids", "primvars:id"),
 }
 WIDTHS = {"opacity": 1, "rotation": 4, "id": 1}  # of an entry, where it is not 3
