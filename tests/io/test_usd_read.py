@@ -524,6 +524,10 @@ def test_damage_is_an_error_or_a_result_and_no_fault(tmp_path):
 
 def test_openusds_warnings_are_not_printed(tmp_path, capfd):
     stages.openusd()
+    from pxr import Tf
+
+    if not hasattr(Tf, "DiagnosticTrap"):
+        pytest.skip("this OpenUSD cannot be kept from printing its warnings")
     (tmp_path / "a.usda").write_text('#usda 1.0\ndef Xform "a" (references = @gone.usda@)\n{\n}\n')
     with pytest.raises(DataFormatError):
         read_result(tmp_path / "a.usda")

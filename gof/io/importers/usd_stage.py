@@ -9,7 +9,7 @@ import importlib
 import re
 from collections import Counter
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, nullcontext
 from pathlib import Path
 from typing import Any
 
@@ -50,7 +50,8 @@ def open_stage(path: Path) -> Iterator[Any]:
     """Give a stage of the file. Raises DataFormatError: OpenUSD cannot read it, or something in it."""
     Tf, Usd = map(_part, ("Tf", "Usd"))
 
-    with Tf.DiagnosticTrap() as trap:  # what OpenUSD would print: what matters of it is said in the notes
+    # What OpenUSD would print; what matters of it is said in the notes. 26.3 has no such trap, and prints.
+    with getattr(Tf, "DiagnosticTrap", nullcontext)() as trap:
         try:
             stage = Usd.Stage.Open(str(path))
             stage.Reload()  # what another reader holds of the file may be old
@@ -60,7 +61,8 @@ def open_stage(path: Path) -> Iterator[Any]:
                 f"OpenUSD cannot read it ({_reason(e)}): damaged, cut off, or of a later version?"
             ) from e
         finally:
-            trap.Clear()
+            if trap is not None:
+                trap.Clear()
 
 
 def _reason(error: Exception) -> str:
