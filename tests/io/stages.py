@@ -4,21 +4,30 @@ import numpy as np
 import pytest
 
 
+def has_openusd():
+    try:
+        from pxr import Usd
+    except ImportError:
+        return False
+    return Usd.GetVersion() >= (0, 26, 3)
+
+
 def openusd():
     """OpenUSD with splats, or a skip that says why not."""
     pytest.importorskip("pxr", reason="OpenUSD is not installed: pip install '.[usd]'")
     from pxr import Usd
 
-    if Usd.GetVersion() < (0, 26, 3):
+    if not has_openusd():
         pytest.skip("this OpenUSD is older than 26.3, which has splats: Blender's own, where bpy was imported before")
     return Usd
 
 
 def new(path, up="Z", metres=1.0, rate=50.0, start=None):
     """An empty stage; what is None is not authored."""
+    Usd = openusd()
     from pxr import UsdGeom
 
-    stage = openusd().Stage.CreateNew(str(path))
+    stage = Usd.Stage.CreateNew(str(path))
     if up:
         UsdGeom.SetStageUpAxis(stage, up)
     if metres:

@@ -3,6 +3,7 @@ against motion that is known in closed form."""
 
 import json
 import sys
+import types
 
 import numpy as np
 import pytest
@@ -543,3 +544,8 @@ def test_without_openusd_the_error_says_what_to_install(tmp_path, monkeypatch):
     with pytest.raises(MissingDependencyError, match=r"b\.usdc: writing .*\[usd\]"):
         usd.save(moving(), tmp_path / "b.usdc", START_S, END_S, STEP_S)
     assert not list(tmp_path.glob("b*"))
+    older = types.ModuleType("pxr.Usd")
+    older.GetVersion = lambda: (0, 25, 2)
+    monkeypatch.setitem(sys.modules, "pxr.Usd", older)
+    with pytest.raises(MissingDependencyError, match=r"26\.3 or later.*here is 25\.2, as a Blender brings it.*\[usd\]"):
+        read_result(tmp_path / "a.usda")
