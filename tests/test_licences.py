@@ -57,7 +57,15 @@ def test_copyleft_and_unknown_licences_are_refused(tmp_path, line):
     assert wrong.startswith("thing: ")
 
 
-@pytest.mark.parametrize("line", ["License: BSD", "License-Expression: MIT", "License: Apache 2.0\n        GPL not"])
+@pytest.mark.parametrize(
+    "line",
+    [
+        "License: BSD",
+        "License-Expression: MIT",
+        "License: Apache 2.0\n        GPL not",
+        "License: LicenseRef-TOST-1.0",  # as usd-core says it
+    ],
+)
 def test_free_licences_are_not(tmp_path, line):
     assert not licences.objections({"thing": fake(tmp_path, "thing", line)})
 

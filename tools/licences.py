@@ -19,7 +19,10 @@ NAME = "gaussians-on-fire"
 COPYLEFT = re.compile(
     r"\b([AL]?GPL|GNU|MPL|Mozilla|EUPL|European Union Public|CDDL|EPL|Eclipse|OSL|SSPL|CC[- ]BY[- ](SA|NC))", re.I
 )
-FREE = re.compile(r"\b(MIT|BSD|0BSD|Apache|ISC|PSF|Python Software Foundation|Zlib|Unlicense|CC0|BSL-1\.0|HPND)", re.I)
+# TOST-1.0, of OpenUSD, is Apache-2.0 with another section on trademarks.
+FREE = re.compile(
+    r"\b(MIT|BSD|0BSD|Apache|ISC|PSF|Python Software Foundation|Zlib|Unlicense|CC0|BSL-1\.0|HPND|TOST-1\.0)", re.I
+)
 # May be copyleft although it comes with other extras than `blender`: name -> (licence, why that binds no user here).
 EXCEPTIONS = {
     "certifi": ("MPL-2.0", "a list of certificates, used unchanged (requests, of mkdocs)"),

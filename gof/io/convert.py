@@ -94,7 +94,7 @@ def _written(
             raise DataFormatError(f"{out}: USD and folders of PLYs need --frame-time, the seconds between two frames")
         clip = _clip(gaussians, out, start_s, end_s)
         if out.suffix:
-            return [*_measured(gaussians), *usd.save(gaussians, out, *clip, frame_time_s, source)]
+            return _save_usd(gaussians, out, *clip, frame_time_s, source)
         return [*_measured(gaussians), *save_frames(gaussians, out, *clip, frame_time_s)]
     gaussians.save(out, source)
     return []
@@ -129,6 +129,18 @@ def _save_moving(gaussians: TransientGaussians, out: Path, start_s: float, end_s
         *MOVING[out.suffix].losses(gaussians),
         what_is_kept(gaussians[order], back, start_s, end_s),
     ]
+
+
+def _save_usd(
+    gaussians: TransientGaussians, out: Path, start_s: float, end_s: float, step_s: float, source: str
+) -> list[str]:
+    """Write USD; where OpenUSD's library is at hand, as for .usdc it is, read it again and say what rounding cost."""
+    seen, notes = usd.save(gaussians, out, start_s, end_s, step_s, source)
+    if out.suffix == ".usdc":
+        back = read_result(out, ImportOptions()).gaussians
+        assert isinstance(back, TransientGaussians)
+        notes.append(what_is_kept(gaussians[seen], back, start_s, end_s))
+    return notes
 
 
 def _measured(gaussians: TransientGaussians) -> list[str]:

@@ -3,15 +3,16 @@
 The text (.usda) is written here. The binary form (.usdc) is made of that text by OpenUSD's own library, where it is
 installed. The Gaussians are the same ones in all frames, so that players interpolate between frames too. They move
 evenly, so the first and the last place say all others exactly; opacities have a sample a frame. The closed form itself,
-which the schema has no names for, stands beside in primvars.
+which the schema has no names for, stands beside in primvars; `gof.io.importers.usd` reads it.
 """
 
 from __future__ import annotations
 
+import importlib
 import json
 from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
-from typing import IO
+from typing import IO, Any
 
 import numpy as np
 
@@ -19,15 +20,19 @@ from gof.core.errors import DataFormatError, MissingDependencyError, require_fin
 from gof.core.files import atomic_path
 from gof.core.gaussians import TransientGaussians
 from gof.core.harmonics import C0
+from gof.host import extras
 
 SUFFIXES = (".usda", ".usdc")
+START, SOURCE, DATUM = "gof_start_s", "source", "gof_datum"  # in the file's customLayerData
+CLOSED_FORM = ("velocity", "t_mu", "t_sigma", "peak_opacity")  # primvars, and gas_velocity and v_sd where there are any
+OLDEST = (0, 26, 3)  # of OpenUSD that has splats
 VISIBLE = 1 / 255  # opacity below which a Gaussian changes no 8-bit picture: written as 0
 MOST_FRAMES = 100_000
 REACH_SIGMAS = 3.0  # of a splat's box
 HEAD = """#usda 1.0
 (
     customLayerData = {{
-        double gof_start_s = {start_s!r}
+        double gof_start_s = {start_s!r}{datum}
         string source = {source}
     }}
     defaultPrim = "flame"
@@ -47,12 +52,24 @@ def ParticleField3DGaussianSplat "flame"
 TUPLES = {1: "%.7g", 3: "(%.7g, %.7g, %.7g)", 4: "(%.7g, %.7g, %.7g, %.7g)"}  # seven digits: what a float32 holds
 
 
+def library(purpose: str) -> Any:
+    """Return OpenUSD's module Usd. Raises MissingDependencyError: it is not installed, or older than its splats."""
+    found = extras.load("pxr.Usd", "usd", purpose)
+    if found.GetVersion() < OLDEST:
+        version = ".".join(map(str, found.GetVersion()[1:]))
+        raise MissingDependencyError(
+            f"{purpose} needs OpenUSD 26.3 or later, which knows splats; here is {version}, as a Blender brings it: "
+            f"{extras.command('usd')}"
+        )
+    return found
+
+
 def save(
     gaussians: TransientGaussians, path: Path, start_s: float, end_s: float, step_s: float, source: str = ""
-) -> list[str]:
+) -> tuple[np.ndarray, list[str]]:
     """Write .usda, or .usdc: frame k is the state at start_s + k step_s, Z up, metres, time codes are frames.
 
-    Returns what was written, in words.
+    Returns (N,) bool, which Gaussians some frame shows and the file holds; and what was written, in words.
 
     Raises:
         DataFormatError: no or too many frames, or nothing is ever seen.   NonFiniteError: a value is beyond a float32.
@@ -78,7 +95,7 @@ def save(
         finally:
             if text != draft:
                 text.unlink(missing_ok=True)
-    return [
+    return seen, [
         f"{count} frames of {seen.sum():,} Gaussians, {1e3 * step_s:g} ms apart from {start_s:g} s on, Z up",
         f"{path.stat().st_size:,} bytes; numbers have seven digits, opacities below 1/255 are 0",
     ]
@@ -87,12 +104,14 @@ def save(
 def _write_text(out: IO[str], g: TransientGaussians, times: np.ndarray, step_s: float, source: str) -> None:
     sh = (g.color[:, None] - 0.5) / C0 if g.color.ndim == 2 else g.color
     always = ~(g.dynamic & np.isfinite(g.t_sigma))
+    datum = f"\n        double[] {DATUM} = {g.datum.numbers().tolist()}" if g.datum else ""
     ends = sorted({0, len(times) - 1})
     facts: dict[str, object] = {
         "count": len(g),
         "start_s": float(times[0]),
         "step_s": float(step_s),
         "rate": float(1 / step_s),
+        "datum": datum,
     }
     facts |= {"degree": round(sh.shape[1] ** 0.5) - 1, "last": len(times) - 1, "source": json.dumps(source)}
     out.write(HEAD.format(**facts))
@@ -105,9 +124,11 @@ def _write_text(out: IO[str], g: TransientGaussians, times: np.ndarray, step_s: 
     _write(out, "vector3f[] primvars:velocity", np.where(g.dynamic[:, None], g.velocity, 0))
     if g.gas_velocity is not None:
         _write(out, "vector3f[] primvars:gas_velocity", g.moving_gas)
-    _write(out, "float[] primvars:t_mu", np.where(always, 0, g.t_mu))
+    _write(out, "float[] primvars:t_mu", np.where(g.dynamic, g.t_mu, 0))
     _write(out, "float[] primvars:t_sigma", np.where(always, 0, g.t_sigma))  # 0: always on
     _write(out, "float[] primvars:peak_opacity", g.opacity)
+    if np.isfinite(g.velocity_sd).any():
+        _write(out, "float[] primvars:v_sd", np.where(np.isinf(g.velocity_sd), -1, g.velocity_sd))  # -1: unknown
     out.write("}\n")
 
 
@@ -152,16 +173,11 @@ def _tuples(name: str, values: np.ndarray) -> Iterator[str]:
 
 
 def _binary(path: Path) -> Callable[[Path, Path], None]:
-    """Return what makes a .usdc of a .usda. Raises MissingDependencyError: see `save`."""
-    remedy = "pip install usd-core (26.3 or later), or write .usda, which is the same as text"
-    try:
-        from pxr import Sdf, Usd
-    except ImportError as e:
-        raise MissingDependencyError(f"{path}: writing .usdc needs OpenUSD: {remedy}") from e
-    if Usd.GetVersion() < (0, 26, 3):
-        raise MissingDependencyError(f"{path}: OpenUSD {Usd.GetVersion()} knows no Gaussian splats: {remedy}")
+    """Return what makes a .usdc of a .usda. Raises MissingDependencyError: see `library`."""
+    library(f"{path}: writing .usdc (a .usda is the same as text)")
+    layers = importlib.import_module("pxr.Sdf").Layer
 
     def convert(text: Path, binary: Path) -> None:
-        Sdf.Layer.FindOrOpen(str(text)).Export(str(binary))
+        layers.FindOrOpen(str(text)).Export(str(binary))
 
     return convert

@@ -21,7 +21,7 @@ from gof.core.trajectory import Trajectory
 from gof.dataset import Dataset
 from gof.evaluate import evaluate as score_it
 from tests.conftest import arc, random_gaussians, write_dataset
-from tests.io import lookalikes
+from tests.io import lookalikes, stages
 from tests.io.lookalikes import logistic, yang_covariance
 
 pytestmark = pytest.mark.long
@@ -231,6 +231,28 @@ def test_a_sequence_of_plys_at_half_steps(dataset, tmp_path):
     scores = evaluate(tmp_path / "gaussian_pertimestamp", dataset, tmp_path / "s.json")
     check(scores, "ply-sequence", state)
     assert any("differences" in note for note in scores["import"]["notes"])
+
+
+def test_a_usd_of_another_program(dataset, tmp_path):
+    """Accelerated motion, y up and in centimetres, with changing sizes, at half steps; its clock begins at 1."""
+    rng = np.random.default_rng(6)
+    x0, v0, a = rng.normal(size=(3, 40, 3)) * np.array([1, 1, 4])[:, None, None]
+    size, opacity = rng.uniform(0.1, 0.3, (40, 3)), rng.uniform(0.1, 0.9, 40)
+    stage = stages.new(tmp_path / "fire.usdc", up="Y", metres=0.01, rate=100.0, start=1)
+    samples = {}
+    for k in range(17):
+        x = x0 + v0 * 0.01 * k + 0.5 * a * (0.01 * k) ** 2
+        theirs = 100 * np.stack([x[:, 0], x[:, 2], -x[:, 1]], 1)
+        samples[1 + k] = {"positions": theirs, "scales": 100 * size * (1 + 0.02 * k)}
+    stages.splats(stage, "/fire", samples, opacities=opacity)
+    stage.Save()
+
+    def state(t):
+        return opacity * ((1 + 2 * t) * size).prod(1), x0 + v0 * t + 0.5 * a * t**2, v0 + a * t
+
+    scores = evaluate(tmp_path / "fire.usdc", dataset, tmp_path / "s.json")
+    check(scores, "usd", state)
+    assert any("y up, 0.01 m" in note for note in scores["import"]["notes"])
 
 
 def test_a_trajectory_with_its_own_velocities(dataset, tmp_path):

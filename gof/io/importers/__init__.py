@@ -15,7 +15,19 @@ import numpy as np
 from gof.core.datum import require_digits
 from gof.core.errors import DataFormatError, GofError
 from gof.core.gaussians import MovingGaussians, TransientGaussians
-from gof.io.importers import dgs, fourdgs, freetime, gof_files, paper_code, ply_sequence, refused, spacetime, tsog, yang
+from gof.io.importers import (
+    dgs,
+    fourdgs,
+    freetime,
+    gof_files,
+    paper_code,
+    ply_sequence,
+    refused,
+    spacetime,
+    tsog,
+    usd,
+    yang,
+)
 from gof.io.importers.sidecar import in_words, with_said
 from gof.io.importers.source import FLAGS, Imported, ImportOptions, Source
 
@@ -30,14 +42,15 @@ METHODS = {
     "4dgs": fourdgs,
     "tsog": tsog,
     "dgs": dgs,
+    "usd": usd,
     "unreadable": refused,
 }
 
 ROUNDED = 0.1  # of a life or a size, that the float32 of a result may round off
 KNOWN = (
     "results and trajectories of gof (.npz, .ply), checkpoints and PLYs of the paper's code, checkpoints of 4DGS (Yang "
-    "et al.), FreeTimeGS (.pt, canonical_4d.npz, .ftgs.ply), PLYs of SpacetimeGaussians, .4dgs, .tsog, .dgs, and "
-    "folders of 3DGS PLYs NAME00000.ply, NAME00001.ply, ..."
+    "et al.), FreeTimeGS (.pt, canonical_4d.npz, .ftgs.ply), PLYs of SpacetimeGaussians, .4dgs, .tsog, .dgs, "
+    "OpenUSD, and folders of 3DGS PLYs NAME00000.ply, NAME00001.ply, ..."
 )
 
 __all__ = ["METHODS", "ImportOptions", "Imported", "Source", "detect", "read_result"]

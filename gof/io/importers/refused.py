@@ -27,7 +27,6 @@ SPLATS = {
     ".sog": "a file of PlayCanvas' SOG",
     ".glb": "a GLB",
     ".gltf": "a glTF",
-    ".usdz": "a USDZ",
 }
 OPTIONS = tuple(FLAGS)  # what was said of a file that cannot be read does not matter
 
@@ -40,8 +39,6 @@ def reason(source: Source) -> str | None:
         return f"a folder of Dynamic3DGaussians: {SAMPLED}"
     if path.is_file() and (kind := SPLATS.get(path.suffix.lower())):
         return f"{kind}, splats of one instant without velocity: {STILL}"
-    if path.is_file() and path.suffix.lower() in (".usd", ".usda", ".usdc"):
-        return "a USD, which gof writes and does not read; give the result it was made from, or a folder of PLYs"
     if path.is_file() and path.suffix == ".ply":
         if kind := name_kind(source.ply.vertex.dtype.names):
             return kind
