@@ -26,7 +26,6 @@ HARDWARE = "needs the LED board or its microcontroller"
 NOT_RUN = {  # (page, words that the example begins with): why
     ("README.md", "make demo"): "sets up a machine: run before every release",
     ("install.md", "make setup"): "sets up a machine: run before every release",
-    ("install.md", "python tools/build_addon.py"): "tests/blender/test_addon_install.py builds it",
     ("baselines.md", "gof baseline [--method wu] [--curve"): OTHERS,
     ("baselines.md", "python -m gof_benchmark.views.shrunk"): OTHERS,
     ("baselines.md", "gof baseline --method wu --curve"): OTHERS,

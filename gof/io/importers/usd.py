@@ -57,7 +57,7 @@ def read(source: Source, options: ImportOptions) -> Imported:
 @dataclass(frozen=True)
 class _Clock:
     """The samples' times. codes: (T,) of the file.   times_s: (T,) of the dataset.   stretch: seconds of the dataset to
-    one of the file, 1 but where --time-unit says otherwise."""
+    one of the file, 1 but where the options have a time unit."""
 
     codes: np.ndarray
     times_s: np.ndarray
