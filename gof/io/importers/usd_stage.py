@@ -242,8 +242,10 @@ def read_colour(prim: Any, code: float, count: int) -> np.ndarray:
 
     stored = read_values(prim, "harmonics", code)
     if stored is not None:
-        degree = prim.GetAttribute(DEGREE).Get(code)
-        size = (int(degree) + 1) ** 2
+        attribute = prim.GetAttribute(DEGREE)
+        said = attribute.Get(code) if attribute else None
+        degree = -1 if said is None else int(said)  # a prim without that schema
+        size = (degree + 1) ** 2
         if not 0 <= degree <= 3 or len(stored) != count * size:
             raise DataFormatError(
                 f"{prim.GetPath()}: '{HARMONICS}' at time code {code:g} has {len(stored)} entries; {count} Gaussians "
