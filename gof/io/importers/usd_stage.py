@@ -20,6 +20,7 @@ from gof.core.errors import DataFormatError, GofError
 from gof.core.harmonics import C0
 from gof.core.similarity import Y_UP, decompose, transformed_splats
 from gof.core.trajectory import ROUNDING
+from gof.io.importers import usd_crate
 from gof.io.usd import MOST_FRAMES
 
 SAME_TIME = 1e-3  # of the usual step between samples: times of two attributes that are nearer are one
@@ -50,6 +51,7 @@ def open_stage(path: Path) -> Iterator[Any]:
     """Give a stage of the file. Raises DataFormatError: OpenUSD cannot read it, or something in it."""
     Tf, Usd = map(_part, ("Tf", "Usd"))
 
+    usd_crate.check(path)
     # What OpenUSD would print; what matters of it is said in the notes. 26.3 has no such trap, and prints.
     with getattr(Tf, "DiagnosticTrap", nullcontext)() as trap:
         try:
@@ -244,7 +246,7 @@ def read_colour(prim: Any, code: float, count: int) -> np.ndarray:
     if stored is not None:
         attribute = prim.GetAttribute(DEGREE)
         said = attribute.Get(code) if attribute else None
-        degree = -1 if said is None else int(said)  # a prim without that schema
+        degree = said if isinstance(said, int) else -1  # a prim without that schema, or a damaged one
         size = (degree + 1) ** 2
         if not 0 <= degree <= 3 or len(stored) != count * size:
             raise DataFormatError(
