@@ -11,6 +11,7 @@ from rich.table import Table
 from rich.text import Text
 
 from gof.commands.everywhere import beside, figures_file, may_overwrite, require_free
+from gof.commands.flow import motion_table
 from gof.commands.read import read_options
 from gof.core.cameras import in_words
 from gof.core.errors import DataFormatError, GofError
@@ -100,6 +101,8 @@ def main(argv: list[str]) -> int:
     for of in (eve_table, velocity_table, picture_table, around_table, light_table, published_table):
         if (table := of(scores)).row_count:
             out.print(table)
+    if scores.flow is not None:
+        out.print(motion_table(scores.flow))
     for sentence in beaten_trivial_baselines(scores):
         out.print(sentence, highlight=False)
     if scores.flow_prior is not None:

@@ -13,8 +13,9 @@ from gof.commands.everywhere import beside, require_free, write_figures
 from gof.commands.read import read_options
 from gof.core.errors import GofError
 from gof.dataset import Dataset
+from gof.evaluate.flow import FlowScores, score_views, views
 from gof.host.terminal import console, progress_bar
-from gof.look.flow import FlowFile, FlowScores, score_views, views, write_views
+from gof.look.flow import FlowFile, write_views
 from gof.look.player.opened import newest, open_moving
 
 UNIT = "pixels per frame, right and down"
@@ -81,13 +82,14 @@ def main(argv: list[str]) -> int:
     if scores is None:
         out.print("no errors: the dataset has no exact optical flow of these pictures (ground_truth: flow)")
     else:
-        out.print(_table(scores))
+        out.print(motion_table(scores))
     figures = {"out": str(out_folder), "unit": UNIT, "frame_time_s": frame_time_s, "pictures": count}
     write_figures(figures | {"full_brightness_px_s": longest, "scores": scores and asdict(scores)})
     return 0
 
 
-def _table(scores: FlowScores) -> Table:
+def motion_table(scores: FlowScores) -> Table:
+    """Return the errors of motion, with those of two trivial baselines."""
     title = (
         f"Motion inside the flame: {scores.result.pixels:,} pixels of {scores.pictures} pictures; the result draws "
         f"something in {scores.covered:.1%} of them"

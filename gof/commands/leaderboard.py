@@ -38,6 +38,7 @@ SHOWN = (
     "eve_cos",
     "l2",
     "cos_sim",
+    "epe_px",
     "psnr_flame",
     "ssim_flame",
     "train_s",

@@ -86,6 +86,11 @@ def _flow_prior(result: EvaluatedResult) -> str | None:
     return None if used is None else "yes" if used else "no"
 
 
+def _epe_px(result: EvaluatedResult) -> float | None:
+    flow = result.scores.flow
+    return None if flow is None else flow.result.epe_px
+
+
 def _baseline(key: str, better: int) -> Callable[[EvaluatedResult], float | None]:
     """Return the best of the trivial baselines on the result's own Gaussians, but those that know the truth at every
     place."""
@@ -128,6 +133,7 @@ COLUMNS = {
     "divergence_l2": Column("divergence L2", LOWER, ".3f", _gradients(lambda gradients: gradients.divergence_l2)),
     "skill": Column("skill over constant", HIGHER, ".3f", _velocity(lambda dve: dve.skill_over_constant)),
     "speed_ratio": Column("speed ratio", NEITHER, ".2f", _velocity(lambda dve: dve.speed_ratio)),
+    "epe_px": Column("EPE (px)", LOWER, ".3f", _epe_px),
     "psnr_flame": Column("PSNR flame (dB)", HIGHER, ".2f", lambda result: result.scores.psnr_flame),
     "ssim_flame": Column("SSIM flame", HIGHER, ".4f", lambda result: result.scores.ssim_flame),
     "psnr": Column("PSNR (dB)", HIGHER, ".2f", lambda result: result.scores.psnr),
@@ -185,6 +191,7 @@ class Row:
     divergence_l2: float | None = None
     skill: float | None = None
     speed_ratio: float | None = None
+    epe_px: float | None = None
     psnr_flame: float | None = None
     ssim_flame: float | None = None
     psnr: float | None = None

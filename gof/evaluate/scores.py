@@ -17,6 +17,7 @@ from gof.core.files import without_place
 from gof.core.records import read_record, write_record
 from gof.evaluate.dve_frame import DVEResult, DVESequence, Opacity
 from gof.evaluate.eve import EveResult, GradientErrors
+from gof.evaluate.flow import FlowScores
 from gof.evaluate.settled import Settled
 from gof.io.importers import ImportOptions
 from gof.io.importers.alignment import Alignment
@@ -319,6 +320,7 @@ class Scores(PictureFigures):
         images: None when pictures were not asked for.
         around: of cameras all around the flame; empty where the dataset has none.
         light: None where the dataset has no true light.
+        flow: motion of pixels on held-out pictures; None without them, or without exact optical flow.
         costs: seconds by part.
     """
 
@@ -337,6 +339,7 @@ class Scores(PictureFigures):
     images: ImageScores | None = None
     around: tuple[AroundScore, ...] = ()
     light: LightScore | None = None
+    flow: FlowScores | None = None
     costs: dict[str, float] = field(default_factory=dict)
 
     @property

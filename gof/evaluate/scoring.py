@@ -20,6 +20,7 @@ from gof.evaluate.around import ViewAround, angles_deg, score_around
 from gof.evaluate.dve_frame import DVESequence, Opacity
 from gof.evaluate.emission import flame_grid
 from gof.evaluate.eve import EveResult, GradientErrors, score_where_it_burns
+from gof.evaluate.flow import FlowScores, score_views, views
 from gof.evaluate.image_scores import BLACK, Extras, Progress, image_scores
 from gof.evaluate.light import score_light
 from gof.evaluate.scores import (
@@ -110,6 +111,7 @@ def evaluate(
         if not dataset.test_frames:
             warnings.append(NO_PICTURES)
         figures["around"] = _around(gaussians, dataset, origin.over_plates, known, costs, progress)
+        figures["flow"] = _flow(gaussians, dataset, known, costs, progress)
         found = image_scores(gaussians, dataset, known, plates, behind, costs, extras or Extras(), progress)
         figures |= asdict(found.means) | {"published": found.published, "images": found.images}
     return Scores(
@@ -139,6 +141,18 @@ def _around(
     with timed(costs, "around"):
         views = [ViewAround(k, a, around.static(k) if over_plates else BLACK) for k, a in enumerate(angles)]
         return score_around(gaussians, around, views, known, progress)
+
+
+def _flow(
+    gaussians: MovingGaussians, dataset: Dataset, known: np.ndarray, costs: dict[str, float], progress: Progress
+) -> FlowScores | None:
+    """Score the motion of pixels, as `gof flow` does, on the held-out pictures whose exact motion is known."""
+    frames = [frame for frame in dataset.test_frames if known[frame]]
+    chosen = [view for view in views(dataset, (), frames) if view.has_truth] if frames else []
+    if not chosen:
+        return None
+    with timed(costs, "flow"):
+        return score_views(gaussians, chosen, partial(progress, stage="flow"))
 
 
 # ---------------------------------------------------------------- the result

@@ -17,6 +17,7 @@ from gof.core.files import atomic_path
 from gof.core.gaussians import TransientGaussians
 from gof.dataset import Dataset
 from gof.evaluate.expectation import expected_velocity
+from gof.evaluate.screen_motion import screen_velocities
 from gof.look import velocity as velocity_module
 from gof.look.images import data_uri, enlarge, factor_for, side_by_side, to_bytes
 
@@ -72,7 +73,7 @@ def animate(
         if has_truth:
             centre, _ = alive.at(time_s)
             velocities.append(expected_velocity(dataset.velocity.at(time_s), centre, alive.scale, alive.rotation).mean)
-        fields = velocity_module.screen_velocities(alive, camera, time_s, velocities)
+        fields = screen_velocities(alive, camera, time_s, velocities)
         drawn.append(
             (
                 [

@@ -16,11 +16,12 @@ from gof.dataset import Dataset
 from gof.dataset.plates import background
 from gof.dataset.poses import Poses
 from gof.evaluate.depth import read_depth
+from gof.evaluate.screen_motion import ScreenVelocity, sideways_velocity
 from gof.ingest.depth import align, from_relative, monocular
 from gof.ingest.stereo import stereo_depth
 from gof.look.animation import original
 from gof.look.tiles import Tile, depth_tile, dimmed, picture_tile, velocity_tile
-from gof.look.velocity import ScreenVelocity, fastest, of_result, sideways_velocity, true_there, unit
+from gof.look.velocity import fastest, of_result, true_there, unit
 from gof.reconstruct.flow_field import FlowField, FrameField
 from gof.reconstruct.seen import Seen
 from gof.render import render

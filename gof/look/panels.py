@@ -12,9 +12,10 @@ from PIL import Image, ImageDraw, ImageFont
 from gof.core.gaussians import MovingGaussians, TransientGaussians
 from gof.core.harmonics import plain_color
 from gof.evaluate.intervals import weighted_quantile
+from gof.evaluate.screen_motion import ScreenVelocity, sideways_velocity
 from gof.look.images import BETWEEN, GAP, INFERNO, VIRIDIS, mapped, side_by_side, to_bytes
 from gof.look.path import Shot
-from gof.look.velocity import GROUND, ScreenVelocity, draw, legend, living, sideways_velocity
+from gof.look.velocity import GROUND, draw, legend, living
 
 Panel = Literal["rgb", "depth", "velocity", "reduced", "error"]
 MOST_ERROR = 0.5  # display values, of the last colour

@@ -8,9 +8,10 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from gof.evaluate.screen_motion import ScreenVelocity
 from gof.look.images import INFERNO, VIRIDIS, ramp, to_bytes
 from gof.look.panels import MOST_ERROR, Scales, depth_colours, error_colours
-from gof.look.velocity import GROUND, ScreenVelocity, arrows, colours
+from gof.look.velocity import GROUND, arrows, colours
 
 BOX_COLOURS = ("#22d3ee", "#facc15", "#a3e635", "#f472b6")  # of the first box, the second ...
 NO_ARROWS = np.zeros((0, 2, 2))

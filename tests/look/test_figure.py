@@ -14,6 +14,7 @@ from gof.core.colour import linear_to_srgb, srgb_to_linear
 from gof.core.errors import GofError
 from gof.core.gaussians import TransientGaussians
 from gof.dataset import Dataset
+from gof.evaluate.screen_motion import ScreenVelocity, sideways_velocity
 from gof.look.charts import DPI
 from gof.look.comparison import Moment, comparison, fire_removal, largest_errors, subject
 from gof.look.images import ramp
@@ -21,7 +22,7 @@ from gof.look.modalities import Modalities, Sources, modalities, training_frame
 from gof.look.pages import flat, in_words, page_pictures
 from gof.look.paper import GAP_IN, write_sheet
 from gof.look.tiles import Bar, Box, Tile, Wheel, depth_tile
-from gof.look.velocity import ScreenVelocity, arrows, sideways_velocity
+from gof.look.velocity import arrows
 from gof.reconstruct import pipeline
 from gof.reconstruct.seen import see_again
 from gof.reconstruct.settings import ReconstructionSettings

@@ -12,10 +12,10 @@ from gof.commands.cli import main as gof
 from gof.core.errors import GofError
 from gof.core.gaussians import TransientGaussians
 from gof.core.trajectory import Trajectory
+from gof.evaluate.screen_motion import sideways_velocity
 from gof.look.film import FilmOptions, make_film
 from gof.look.panels import Scales, Subject, depth_colours, draw_panel, error_colours, measure_scales, picture
 from gof.look.path import Shot, orbit, shots
-from gof.look.velocity import sideways_velocity
 from gof.render import render
 from tests.conftest import arc, look_at, write_dataset
 

@@ -7,7 +7,9 @@ import cv2
 import numpy as np
 import pytest
 
+from gof.commands.evaluate import main as evaluate_main
 from gof.commands.flow import main
+from gof.commands.leaderboard import main as leaderboard_main
 from gof.core.cameras import Camera
 from gof.core.errors import DataFormatError, GofError
 from gof.core.flow import FlowErrors, read_flow, write_flow
@@ -96,6 +98,41 @@ def run(tmp_path, dataset, gaussians, *options) -> dict:
     words = [str(tmp_path / "mine.npz"), "--dataset", str(dataset), "--out", str(tmp_path / "out"), "--overwrite"]
     assert main([*words, *options, "--json", str(tmp_path / "figures.json")]) == 0
     return json.loads((tmp_path / "figures.json").read_text())
+
+
+def test_the_error_stands_in_the_scores_and_on_the_board(tmp_path, dataset, capsys):
+    """A gas of half the blobs' speed is off by half the pinhole's formula, on the pixels of the held-out frame."""
+    own = blobs()
+    for name, gas in (("true", own.velocity), ("half", own.velocity / 2)):
+        (tmp_path / name).mkdir()
+        blobs(gas_velocity=gas).save(tmp_path / name / "result.npz")
+        words = [str(tmp_path / name / "result.npz"), "--dataset", str(dataset), "--out", str(tmp_path / name)]
+        assert evaluate_main(words) == 0
+    assert "end-point error" in " ".join(capsys.readouterr().out.split())
+    exact = [
+        np.full(np.count_nonzero(around(blob, right, STEP, 3)), np.linalg.norm(per_frame(blob, right, STEP)))
+        for blob in range(3)
+        for right in (0, 0.5)
+    ]
+    expected = np.concatenate(exact).mean() / 2
+    found = {name: json.loads((tmp_path / name / "scores.json").read_text())["flow"] for name in ("true", "half")}
+    assert expected > 0.2 and found["half"]["result"]["epe_px"] == pytest.approx(expected, abs=0.01)
+    assert found["true"]["result"]["epe_px"] < 0.01
+    assert found["half"]["zero"]["epe_px"] == pytest.approx(2 * expected, rel=1e-5)
+    assert found["half"]["result"]["pixels"] == sum(map(len, exact)) and found["half"]["pictures"] == 2
+    assert leaderboard_main([str(tmp_path / "true"), str(tmp_path / "half"), "--out", str(tmp_path / "board")]) == 0
+    assert "EPE" in capsys.readouterr().out
+    rows = json.loads((tmp_path / "board/leaderboard.json").read_text())["rows"]
+    assert [row["epe_px"] for row in rows] == [found[row["name"]]["result"]["epe_px"] for row in rows]
+    assert "EPE (px)" in (tmp_path / "board/leaderboard.md").read_text()
+
+
+def test_without_exact_motion_there_is_no_such_score(tmp_path, dataset):
+    description = Dataset.open(dataset).description
+    replace(description, cameras=tuple(replace(e, flow=None) for e in description.cameras)).write(dataset)
+    blobs().save(tmp_path / "result.npz")
+    assert evaluate_main([str(tmp_path / "result.npz"), "--dataset", str(dataset), "--out", str(tmp_path / "out")]) == 0
+    assert json.loads((tmp_path / "out/scores.json").read_text())["flow"] is None
 
 
 def test_blobs_move_as_the_pinhole_says(tmp_path, dataset, capsys):

@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 
 from gof.core.colour import direction_colors
-from gof.look.velocity import MIN_ALPHA, ScreenVelocity, draw, legend, living, screen_velocities, screen_velocity
+from gof.evaluate.screen_motion import ScreenVelocity, screen_velocities, screen_velocity
+from gof.look.velocity import MIN_ALPHA, draw, legend, living
 from tests.conftest import arc
 from tests.evaluate.analytic import make_gaussians
 

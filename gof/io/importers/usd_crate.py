@@ -96,7 +96,7 @@ class _Crate:
             name = self.bytes(row, 16).split(b"\0")[0].decode("latin-1")
             begin, size = self.number(row + 16), self.number(row + 24)
             if begin + size > self.size or begin < BOOTSTRAP_BYTES:
-                raise _damaged(f"its section {name!r} is said to end at byte {begin + size:,} of {self.size:,}")
+                raise _damaged(f"its section {name!r} ends at byte {begin + size:,} of {self.size:,}, it says")
             sections.setdefault(name, begin)
         for name, looks in SECTIONS.items():
             if name not in sections:
