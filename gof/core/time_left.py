@@ -1,4 +1,4 @@
-"""The one rule for every time that is said before it has passed: what a model expects, times how slow this machine is.
+"""The one rule for every time that gof gives before it has passed: what a model expects, times how slow this machine is.
 
 A model knows the seconds of one machine, `REFERENCE`. How much slower this one is shows in three ways, each better than
 the one before:
@@ -54,7 +54,7 @@ class Machine:
 
     Attributes:
         slow: CPU seconds of a core here over those on the models' machine.
-        crowded: seconds of the clock for a CPU second while all cores are asked to work; 1 where nothing else runs.
+        crowded: seconds of the clock for a CPU second while all cores have work; 1 where nothing else runs.
     """
 
     slow: float = 1.0
@@ -92,7 +92,7 @@ def _bounded(ratio: float) -> float:
 
 @dataclass(frozen=True)
 class Paces:
-    """What work took on this machine over what its model expected of the models' machine, by kind of work."""
+    """Seconds that work took on this machine over what its model expected of the models' machine, by kind of work."""
 
     SCHEMA: ClassVar[str] = "gof-paces"
     VERSION: ClassVar[int] = 1

@@ -49,7 +49,7 @@ class _Left:
 
     def __init__(self, left: TimeLeft, after_s: float):
         self._left, self._after_s = left, after_s
-        self._child: tuple[float, float] | None = None  # seconds that a child said, and when
+        self._child: tuple[float, float] | None = None  # seconds that a child told, and when
 
     def update(self, part: str, share: float, child_s: float | None) -> None:
         self._left.reach(part, share)
@@ -72,7 +72,7 @@ def progress_bar(
     note="", share=done / total).
 
     Args:
-        left: of work that the bar is a part of, the one named `title`; what is said is then what all of it needs.
+        left: of work that the bar is a part of, the one named `title`; the bar then shows what all of that needs.
         after_s: seconds of other work after that; they are added.
 
     It is seen from the first update on, so that input which is refused before is refused without one. `ticking` draws
