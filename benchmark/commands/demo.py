@@ -194,8 +194,6 @@ def run_stages(config: DemoConfig) -> None:
         command = python_command("-m", "gof", *map(str, stage.command))
         cost = run_worker(command, stage.name, config.out / f"{stage.name}.log", sum(to_come.values()))
         if not stage.costs:  # the others keep their own, part by part
-            of_model = SECONDS[stage.name] * machine.crowded
-            Paces.known().with_run(f"demo {stage.name}", cost.seconds / of_model).keep()
             log.record(stage.name, cost.seconds, cost.peak_mb)
         print(f"{stage.name}: {cost.seconds:.0f} s, {cost.peak_mb:.0f} MB")
 
@@ -211,8 +209,7 @@ def expected_s(config: DemoConfig, machine: Machine) -> dict[str, float]:
     paces = Paces.known()
     seconds = {"generate": predict_here(spec, machine).total_s}
     seconds["reconstruct"] = START_S + sum(paces.expected_s(parts, machine).values())
-    kinds = {f"demo {name}": s for name, s in SECONDS.items()}
-    seconds |= {kind.removeprefix("demo "): s for kind, s in paces.expected_s(kinds, machine).items()}
+    seconds |= paces.expected_s(SECONDS, machine)
     return {stage.name: 0.0 if stage.finished else seconds[stage.name] for stage in stages_of(config)}
 
 

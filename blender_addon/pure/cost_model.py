@@ -26,7 +26,7 @@ from ..core import time_left
 from ..core.checked_json import SpecError
 from ..core.errors import GofError
 from ..core.records import read_record, write_record
-from ..core.time_left import Paces, duration
+from ..core.time_left import LEAST_S, Paces, duration
 from .spec import SceneSpec
 
 # Measured on Blender 4.5, see notebook/costs.md.
@@ -145,7 +145,7 @@ def predict_here(spec: SceneSpec, now: time_left.Machine = time_left.REFERENCE) 
 def learn(spec: SceneSpec, cpu_s: Mapping[str, float]) -> None:
     """Keep what the stages of a dataset took, CPU seconds, over what was expected of them."""
     paces, expected = Paces.known(), predict(spec, known_machine() or REFERENCE).by_stage
-    for stage in expected.keys() & cpu_s.keys():
+    for stage in (stage for stage in expected.keys() & cpu_s.keys() if expected[stage] >= LEAST_S):
         paces = paces.with_run(stage, cpu_s[stage] / CORES / expected[stage])
     paces.keep()
 

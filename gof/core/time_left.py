@@ -1,4 +1,4 @@
-"""The one rule for every time that gof gives before it has passed: what a model expects, times how slow this machine is.
+"""The one rule for every time that gof gives before it passes: what a model expects, times how slow this machine is.
 
 A model knows the seconds of one machine, `REFERENCE`. How much slower this one is shows in three ways, each better than
 the one before:
@@ -28,6 +28,7 @@ from .records import read_record, write_record
 PROBE_ROUNDS, PROBE_NUMBERS = 200, 50_000  # per core: some hundredths of a second
 PROBE_S = 0.020  # CPU seconds of a core for it, on the machine whose seconds the models say
 MOST = 32.0  # times slower or quicker: more is a clock that was set, or a machine that slept
+LEAST_S = 5.0  # seconds by the model, of work that says something of a pace: less is starts and compiling
 NEW = 0.5  # weight of the latest work among all work of its kind, in logarithms
 TRUST = 0.1  # of all expected seconds: so much work has to be done before its own pace counts as much as the model's
 

@@ -13,7 +13,7 @@ from pathlib import Path
 from gof.core.costs import StageLog
 from gof.core.errors import GofError
 from gof.core.files import only_run_in
-from gof.core.time_left import Machine, Paces, TimeLeft, duration
+from gof.core.time_left import LEAST_S, Machine, Paces, TimeLeft, duration
 from gof.dataset import Dataset
 from gof.dataset.leaks import refuse_leaked_work, refuse_leaks
 from gof.reconstruct import memory, sanity, stages
@@ -122,7 +122,7 @@ def _learn(parts: dict[str, float], left: TimeLeft, before: Machine) -> None:
     left.end()
     crowded = (before.crowded * Machine.measured_now().crowded) ** 0.5
     paces = Paces.known()
-    for part in parts.keys() & left.took_s.keys():
+    for part in (part for part in parts.keys() & left.took_s.keys() if parts[part] >= LEAST_S):
         paces = paces.with_run(part, left.took_s[part] / parts[part] / crowded)
     paces.keep()
 
