@@ -11,9 +11,10 @@ from rich.table import Table
 
 from gof.commands.everywhere import write_figures
 from gof.commands.read import read_options
+from gof.core.time_left import duration
 from gof.host.terminal import console
 from gof_benchmark.suite import Size, SuiteScene, choose, suite_name
-from gof_blender.pure.cost_model import REFERENCE, duration, known_machine, predict
+from gof_blender.pure.cost_model import predict_here
 
 WHOLE = ("scene", "split", "solver", "picture", "spec")  # columns that are not folded in a narrow window
 
@@ -76,7 +77,7 @@ def main(argv: list[str]) -> int:
     out = console()
     out.print(table)
     ours = [scene.spec for scene in scenes if scene.foam is None]
-    seconds = sum(predict(spec, known_machine() or REFERENCE).total_s for spec in ours)
+    seconds = sum(predict_here(spec).total_s for spec in ours)
     out.print(
         f"about {duration(seconds)} for those that Mantaflow makes; OpenFOAM's take half an hour of one core each"
     )

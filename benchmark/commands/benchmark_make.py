@@ -11,12 +11,12 @@ import tyro
 from gof.commands.everywhere import write_figures
 from gof.commands.read import read_options
 from gof.core.errors import MissingDependencyError
+from gof.core.time_left import duration
 from gof.dataset import Dataset
 from gof.host.terminal import console
 from gof_benchmark.fires.making import make, predicted_s
 from gof_benchmark.suite import Size, choose
 from gof_benchmark.suite.made import compare, folder_of
-from gof_blender.pure.cost_model import duration
 
 SIGNS = {"same": "✓", "not to the bit": "?", "unknown": "?"}
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+import math
 import sys
 import time
 from dataclasses import asdict, dataclass, replace
@@ -18,15 +19,21 @@ from gof.core.costs import StageCost, StageLog
 from gof.core.errors import GofError
 from gof.core.files import write_json
 from gof.core.records import claim, to_json
+from gof.core.time_left import Machine, Paces, duration
 from gof.evaluate.scores import Scores
 from gof.host.processes import python_command
 from gof.host.worker import run_worker
-from gof.reconstruct.presets import FLAGS, LEAST
+from gof.reconstruct.presets import FLAGS, LEAST, REST_S, effort_of, seeing_s, step_ms
 from gof_benchmark.scenes import load_scene
 from gof_blender.pure import spec as scene_spec
+from gof_blender.pure.cost_model import predict_here
 from gof_blender.pure.spec import SceneSpec
 
 AROUND_FRAMES = 2  # that the views from all around have
+# Seconds on the machine of `gof.core.time_left` of the demo's last stages, and of what comes before a reconstruction.
+SECONDS = {"evaluate": 10.0, "import": 16.0, "report": 10.0, "share": 4.0}
+START_S = 4.0
+WINDOW = 0.92  # of the demo's picture, that its flame needs
 
 
 @dataclass
@@ -171,8 +178,11 @@ def main(argv: list[str]) -> int:
 
 def run_stages(config: DemoConfig) -> None:
     """Run what is not finished, or older than what it is made from."""
-    log = StageLog(config.out / "costs.json")
+    log, machine = StageLog(config.out / "costs.json"), Machine.measured_now()
+    to_come = expected_s(config, machine)
+    print(f"about {duration(sum(to_come.values()))} in all on this machine as busy as it is now", file=sys.stderr)
     for stage in stages_of(config):
+        del to_come[stage.name]
         if stage.finished:
             print(f"{stage.name}: finished before")
             continue
@@ -182,10 +192,25 @@ def run_stages(config: DemoConfig) -> None:
         if stage.name == "report":  # which reads them here
             Scores.read(evaluation(config)).write(config.out / "scores.json")
         command = python_command("-m", "gof", *map(str, stage.command))
-        cost = run_worker(command, stage.name, config.out / f"{stage.name}.log")
+        cost = run_worker(command, stage.name, config.out / f"{stage.name}.log", sum(to_come.values()))
         if not stage.costs:  # the others keep their own, part by part
             log.record(stage.name, cost.seconds, cost.peak_mb)
         print(f"{stage.name}: {cost.seconds:.0f} s, {cost.peak_mb:.0f} MB")
+
+
+def expected_s(config: DemoConfig, machine: Machine) -> dict[str, float]:
+    """Return seconds of the clock that each stage that is not finished should take, by its name."""
+    spec, frames = spec_of(config), round(7 / 8 * spec_of(config).clip.frames)
+    effort = effort_of("preview", config.steps, config.gaussians)
+    pixels = math.prod(spec.picture_px)
+    each_ms = step_ms(effort.gaussians, frames, round(WINDOW * pixels), native=True, held=True)
+    parts = seeing_s(frames, frames * len(spec.cameras.whole_clip) * pixels, effort.voxels)
+    parts |= {"optimise": effort.iterations * each_ms / 1e3, "rest": REST_S}
+    paces = Paces.known()
+    seconds = {"generate": predict_here(spec, machine).total_s}
+    seconds["reconstruct"] = START_S + sum(paces.expected_s(parts, machine).values())
+    seconds |= paces.expected_s(SECONDS, machine)
+    return {stage.name: 0.0 if stage.finished else seconds[stage.name] for stage in stages_of(config)}
 
 
 def stage_costs(config: DemoConfig) -> list[StageCost]:

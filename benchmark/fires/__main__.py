@@ -10,11 +10,11 @@ from typing import Literal
 import tyro
 
 from gof.core.errors import DataFormatError, GofError, MissingDependencyError
+from gof.core.time_left import duration
 from gof_benchmark.fires import SPLITS, BenchmarkFire, fires
 from gof_benchmark.fires.making import make, predicted_s
 from gof_benchmark.fires.twins import simulated, traits, traits_by_name, twins_table
 from gof_benchmark.scenes import built_in_scenes, load_scene
-from gof_blender.pure.cost_model import duration
 
 
 @dataclass

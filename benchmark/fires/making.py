@@ -9,7 +9,7 @@ from gof_benchmark.generator import graph
 from gof_benchmark.scenes import claimed
 from gof_benchmark.solvers.openfoam.foam_fire import FoamFire
 from gof_benchmark.solvers.openfoam.run import bake
-from gof_blender.pure.cost_model import REFERENCE, known_machine, predict
+from gof_blender.pure.cost_model import predict_here
 from gof_blender.pure.layout import Layout
 from gof_blender.pure.spec import SceneSpec
 
@@ -40,7 +40,7 @@ def predicted_s(spec: SceneSpec, foam: FoamFire | None, folder: Path, work: Path
         return 0.0
     if foam and not _solved(spec, work):
         return SOLVE_S
-    return predict(spec.resolved(work.resolve()), known_machine() or REFERENCE).total_s
+    return predict_here(spec.resolved(work.resolve())).total_s
 
 
 def _solved(spec: SceneSpec, work: Path) -> bool:

@@ -15,6 +15,7 @@ from pathlib import Path
 
 from gof.core.costs import StageLog
 from gof.core.errors import GofError
+from gof.core.time_left import Machine, TimeLeft
 from gof.host import extras
 from gof.host.terminal import progress_bar
 from gof_benchmark.generator import machine
@@ -22,11 +23,12 @@ from gof_benchmark.generator.blender_process import ProcessCost, Renderer, Stage
 from gof_benchmark.generator.workers import RETRIES, ClusterWorkers, LocalWorkers, workers_for
 from gof_blender.pure import effects
 from gof_blender.pure.brightness import Brightness
-from gof_blender.pure.cost_model import stage_settings
+from gof_blender.pure.cost_model import CORES, learn, predict_here, stage_settings
 from gof_blender.pure.layout import Layout
 from gof_blender.pure.spec import SceneSpec
 
 POLL_S = 0.3
+SURE = 3  # pictures after which their own price is known better than a model's
 
 
 def make(
@@ -55,13 +57,21 @@ def make(
     if not layout.bake_marker.exists():
         machine.refuse_if_too_large(spec, layout.root)
     with workers_for(scheduler, workers, tls) as there:
-        Generation(spec, layout, there, log).run()
+        Generation(spec, layout, there, log, Machine.measured_now()).run()
 
 
 class Generation:
     """One dataset on its way through the graph."""
 
-    def __init__(self, spec: SceneSpec, layout: Layout, workers: LocalWorkers | ClusterWorkers, log: StageLog):
+    def __init__(
+        self,
+        spec: SceneSpec,
+        layout: Layout,
+        workers: LocalWorkers | ClusterWorkers,
+        log: StageLog,
+        now: Machine,
+    ):
+        """Args: now: this machine when the work begins."""
         self._spec = spec
         self._layout = layout
         self._workers = workers
@@ -74,6 +84,10 @@ class Generation:
         self._said: set[str] = set()
         self._wall_before = {cost.name: cost.settings.get("wall_s", 0.0) for cost in log.stages()}
         self._begun: dict[str, float] = {}  # stage -> clock when its first task began
+        self._now = now
+        self._expected = predict_here(spec, now).by_stage
+        self._whole = not layout.bake_marker.exists() and not layout.pictures()  # nothing was made before
+        self._cpu_s: dict[str, float] = {}  # of all processes of a stage
 
     def run(self) -> None:
         """Make what is missing, and record what each stage cost.
@@ -89,6 +103,8 @@ class Generation:
             for stage in [*stages, "finish"]:
                 self._submit(stage, _stage, stage)
                 self._wait_for(lambda: not self._running)
+            if self._whole:
+                learn(self._spec, self._cpu_s)
         finally:
             for future in self._running:
                 future.cancel()
@@ -101,7 +117,8 @@ class Generation:
             self._submit("bake", _stage, "bake")
         waiting = list(spec.pictures)
         truth_pending = True
-        with progress_bar("generate") as update:
+        left = TimeLeft({"generate": sum(self._expected.values())})
+        with progress_bar("generate", left=left) as update:
             while waiting or truth_pending or self._running:
                 baked = self._layout.bake_marker.is_file()
                 while waiting and (baked or (fresh_bake and self._is_ready(waiting[0][0]))):
@@ -113,7 +130,7 @@ class Generation:
                     truth_pending = False
                     self._submit("ground-truth", _stage, "ground-truth", priority=1)
                 self._collect()
-                update(*self._progress())
+                update(*self._progress(), share=self._share())
                 time.sleep(POLL_S)
 
     def _has_plates(self) -> bool:
@@ -141,6 +158,7 @@ class Generation:
             if isinstance(cost, StageRefused):
                 raise cost
             self._rendered += stage == "render"
+            self._cpu_s[stage] = self._cpu_s.get(stage, 0.0) + cost.cpu_s
             settings = stage_settings(stage, self._spec) | {"wall_s": self._wall_s(stage, cost.seconds)}
             if stage == "render" and (seen := Brightness.read(self._layout.brightness)):
                 settings["brightness"] = vars(seen)
@@ -176,6 +194,17 @@ class Generation:
         while self._steps < last and self._layout.cached_velocity(self._steps + 1).is_file():
             self._steps += 1
         return self._steps + self._plates + self._rendered, last + pictures
+
+    def _share(self) -> float:
+        """Return how much is done of all seconds, 0..1: pictures, once some are rendered, at what these have cost."""
+        pictures, baked = len(self._spec.pictures), self._steps / max(self._spec.timeline.last_frame, 1)
+        rendered = self._expected["render"]
+        if self._rendered >= SURE:
+            rendered = self._cpu_s["render"] / CORES / self._rendered * pictures * self._now.crowded
+        seconds = self._expected | {"render": rendered}
+        shares = {"bake": baked, "render": min(self._layout.pictures() / pictures, 1.0)}
+        shares["ground-truth"] = float("ground-truth" in self._cpu_s)
+        return sum(seconds[stage] * share for stage, share in shares.items()) / sum(seconds.values())
 
 
 def _stage(stage: str, root: Path) -> ProcessCost | StageRefused:

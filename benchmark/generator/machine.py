@@ -18,6 +18,7 @@ from typing import ClassVar
 
 import numpy as np
 
+from gof.core import time_left
 from gof.core.errors import DataFormatError, GofError
 from gof.core.records import read_record, write_record
 from gof.host.terminal import progress_bar
@@ -26,18 +27,19 @@ from gof_benchmark.scenes import claim, load_scene
 from gof_blender.core.checked_json import SpecError
 from gof_blender.pure.cost_model import (
     CORES,
-    REFERENCE,
     Machine,
     Prediction,
     cells,
     known_machine,
     machine_file,
     picture_s,
-    predict,
+    predict_here,
     remember,
     require_room,
     with_resolution,
 )
+from gof_blender.pure.cost_model import REFERENCE as REFERENCE
+from gof_blender.pure.cost_model import predict as predict
 from gof_blender.pure.layout import Layout
 from gof_blender.pure.spec import SceneSpec
 
@@ -53,7 +55,7 @@ def refuse_if_too_large(spec: SceneSpec, root: Path) -> Prediction:
     Raises:
         GofError: memory or disk of this machine do not suffice; says what would fit.
     """
-    print(predict(spec, known_machine() or REFERENCE), flush=True)
+    print(predict_here(spec, time_left.Machine.measured_now()), flush=True)
     return refuse(spec, root)
 
 

@@ -15,16 +15,18 @@ import os
 import shutil
 import sys
 from bisect import bisect_left
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import ClassVar
 
 import numpy as np
 
+from ..core import time_left
 from ..core.checked_json import SpecError
 from ..core.errors import GofError
 from ..core.records import read_record, write_record
+from ..core.time_left import LEAST_S, Paces, duration
 from .spec import SceneSpec
 
 # Measured on Blender 4.5, see notebook/costs.md.
@@ -37,6 +39,7 @@ CORES = os.cpu_count() or 1
 YEAR_S = 365 * 86400.0
 LONGEST_S = YEAR_S
 SMOKE_SAMPLE = 20  # times one without smoke: all lamps, through the soot; 6 where it has begun, 24 in a full domain
+LEARNED_ERROR = 0.25  # of a machine whose own runs corrected the model (notebook/costs.md)
 ROOM = 0.9  # share of the memory that a dataset may take: the system needs some
 SOOT_PICTURE = 2.3  # a flame of soot, over one that absorbs nothing: finer steps, and its cover rendered beside it
 
@@ -83,8 +86,13 @@ class Prediction:
     measured_on: str
 
     @property
+    def by_stage(self) -> dict[str, float]:
+        """Return seconds by the stages that cost most."""
+        return {"bake": self.bake_s, "render": self.render_s, "ground-truth": self.ground_truth_s}
+
+    @property
     def total_s(self) -> float:
-        return self.bake_s + self.render_s + self.ground_truth_s
+        return sum(self.by_stage.values())
 
     def __str__(self) -> str:
         return (
@@ -118,6 +126,30 @@ def predict(spec: SceneSpec, machine: Machine) -> Prediction:
     )
 
 
+def predict_here(spec: SceneSpec, now: time_left.Machine = time_left.REFERENCE) -> Prediction:
+    """Return seconds of the clock on this machine, by what is known of it and what its runs have taken.
+
+    Args:
+        now: how slow and crowded it is (`gof.core.time_left`); left out, other programs do not count.
+    """
+    known, paces = known_machine(), Paces.known()
+    prediction = predict(spec, known or REFERENCE)
+    now = time_left.Machine(1.0, now.crowded) if known else now
+    seconds = paces.expected_s(prediction.by_stage, now)
+    if "render" in paces.ratios:
+        prediction = replace(prediction, error=LEARNED_ERROR, measured_on="this machine's own runs")
+    bake_s, render_s, ground_truth_s = seconds.values()
+    return replace(prediction, bake_s=bake_s, render_s=render_s, ground_truth_s=ground_truth_s)
+
+
+def learn(spec: SceneSpec, cpu_s: Mapping[str, float]) -> None:
+    """Keep what the stages of a dataset took, CPU seconds, over what was expected of them."""
+    paces, expected = Paces.known(), predict(spec, known_machine() or REFERENCE).by_stage
+    for stage in (stage for stage in expected.keys() & cpu_s.keys() if expected[stage] >= LEAST_S):
+        paces = paces.with_run(stage, cpu_s[stage] / CORES / expected[stage])
+    paces.keep()
+
+
 def known_machine() -> Machine | None:
     """Coefficients measured on this machine before; None where there are none that this version can read."""
     try:
@@ -127,12 +159,13 @@ def known_machine() -> Machine | None:
 
 
 def remember(machine: Machine) -> None:
-    """Keep coefficients for this user."""
+    """Keep coefficients for this user; what was learned on top of others is forgotten."""
     write_record(machine_file(), machine)
+    Paces.known().without("bake", "render", "ground-truth").keep()
 
 
 def machine_file() -> Path:
-    return Path(os.environ.get("XDG_CACHE_HOME", Path.home() / ".cache")) / "gof" / "machine.json"
+    return time_left.folder() / "machine.json"
 
 
 def require_room(spec: SceneSpec, root: Path) -> Prediction:
@@ -143,7 +176,7 @@ def require_room(spec: SceneSpec, root: Path) -> Prediction:
     """
     require_memory(spec)
     machine = known_machine() or REFERENCE
-    prediction = predict(spec, machine)
+    prediction = predict_here(spec)
     disk = shutil.disk_usage(next(path for path in (root, *root.parents) if path.exists())).free / 2**20
     if prediction.disk_mb > disk:
         advice = _advice(spec, lambda other: predict(other, machine).disk_mb, 0.9 * disk)
@@ -235,12 +268,6 @@ def picture_s(machine: Machine, pixels: float, samples: int, resolution: int) ->
 
 def with_resolution(spec: SceneSpec, resolution: int) -> SceneSpec:
     return replace(spec, domain=replace(spec.domain, resolution=resolution))
-
-
-def duration(seconds: float) -> str:
-    if seconds < 90:
-        return f"{seconds:.0f} s"
-    return f"{seconds / 60:.0f} min" if seconds < 5400 else f"{seconds / 3600:.1f} h"
 
 
 def _step_s(spec: SceneSpec, machine: Machine) -> float:

@@ -17,6 +17,7 @@ from ..core.checked_json import SpecError
 from ..core.costs import StageCost, StageLog
 from ..core.description import CameraEntry, DatasetDescription
 from ..core.files import read_json, write_text
+from ..core.time_left import TimeLeft, duration
 from . import cost_model, effects
 from . import spec as scene_spec
 from .brightness import Brightness
@@ -61,7 +62,7 @@ class Job:
     Attributes:
         stage: the stage that runs, "" before the first and after the last.
         fraction: expected share of the work that is done, 0..1.
-        seconds_left: by the pace of this stage, and the prediction for those after it.
+        seconds_left: by the rule of `core.time_left`.
         keeps_bake: asked to end, and waiting for the bake, which would otherwise start over.
     """
 
@@ -71,8 +72,9 @@ class Job:
         self.stage = ""
         self.keeps_bake = False
         self._python = python
-        machine = cost_model.known_machine() or cost_model.REFERENCE
-        self._expected = expected_s(spec, cost_model.predict(spec, machine))
+        self._expected = expected_s(spec, cost_model.predict_here(spec))
+        self._pace = TimeLeft(self._expected)
+        self._heard = 0.0
         self._waiting = stages(spec)
         self._process: subprocess.Popen | None = None
         self._said = Said()
@@ -92,10 +94,10 @@ class Job:
 
     @property
     def seconds_left(self) -> float:
-        return self._left_here() + self._later()
+        return self._left_here() + self._pace.slowness * self._later()
 
     def __str__(self) -> str:
-        left = cost_model.duration(self._left_here() if self.keeps_bake else self.seconds_left)
+        left = duration(self._left_here() if self.keeps_bake else self.seconds_left)
         if not self._said.total:
             return f"{self.stage or 'ready'} starts, about {left} left"
         text = f"{self.stage} {self._said.done} of {self._said.total}{UNITS.get(self.stage, '')}, {left} left"
@@ -166,6 +168,8 @@ class Job:
                 stderr=errors,
             )
         self._said = Said(self._process.stdout)
+        self._heard = 0.0
+        self._pace.reach(self.stage, 0.0)
 
     def _end_of_stage(self, status: int) -> None:
         self._process = None
@@ -185,12 +189,13 @@ class Job:
         self._note(f"{self.stage}: {seconds:.0f} s, {self._said.peak_mb:.0f} MB")
 
     def _left_here(self) -> float:
-        """Return seconds left in this stage: by its own pace as soon as there is one."""
+        """Return seconds left in this stage."""
         if not self.stage:
             return 0.0
-        if self._said.made <= 0:
-            return self._expected[self.stage] * (1 - self._said.share)
-        return (time.monotonic() - self._start) * (self._said.total - self._said.done) / self._said.made
+        if self._said.total and self._said.share != self._heard:
+            self._pace.reach(self.stage, self._said.share)
+            self._heard = self._said.share
+        return self._pace.left_here or 0.0
 
     def _later(self) -> float:
         return sum(self._expected[stage] for stage in self._waiting)

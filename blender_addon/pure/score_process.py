@@ -10,6 +10,7 @@ import time
 from pathlib import Path
 
 from ..core.errors import GofError
+from ..core.time_left import TimeLeft, duration
 from .child import JobError, Said, code
 from .dve import Scores
 
@@ -43,6 +44,7 @@ class Evaluation:
         self._folder, self._program = folder, command[0]
         self._log = folder / "log.txt"
         self._started = time.monotonic()
+        self._pace, self._heard = TimeLeft(), 0
         try:
             with self._log.open("wb") as log:
                 self._process = subprocess.Popen(
@@ -84,8 +86,12 @@ class Evaluation:
         self._said.read()
         if not self._said.done:
             return f"{self.by}, {seconds:.0f} s"
-        left = seconds * (self._said.total - self._said.done) / self._said.done
-        return f"frame {self._said.done} of {self._said.total}, {left:.0f} s left"
+        if self._said.done != self._heard:
+            self._heard = self._said.done
+            self._pace.reach("frames", self._said.share)
+        left = self._pace.seconds
+        said = "" if left is None else f", {duration(left)} left"
+        return f"frame {self._said.done} of {self._said.total}{said}"
 
     def poll(self) -> bool:
         """Return whether it still runs. Raises: EvaluationError when it failed."""

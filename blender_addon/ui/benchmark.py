@@ -9,6 +9,7 @@ from bpy.props import BoolProperty, EnumProperty, FloatProperty, StringProperty
 
 from ..core.checked_json import SpecError
 from ..core.errors import GofError
+from ..core.time_left import duration
 from ..pure import cost_model, dataset_process
 from ..pure import spec as spec_file
 from ..pure.dataset_process import Job, expected_s, left_s
@@ -371,7 +372,7 @@ def _brings_its_scene(spec: SceneSpec, layout: Layout) -> bool:
 
 def _draw_cost(box, context, spec: SceneSpec, layout: Layout | None) -> None:
     """Draw the dataset's figures and its expected cost; of one that was begun, what is left."""
-    prediction = cost_model.predict(spec, cost_model.known_machine() or cost_model.REFERENCE)
+    prediction = cost_model.predict_here(spec)
     expected = expected_s(spec, prediction)
     frames, cameras = spec.clip.frames, len(spec.cameras.whole_clip)
     column = box.column(align=True)
@@ -390,7 +391,7 @@ def _draw_cost(box, context, spec: SceneSpec, layout: Layout | None) -> None:
     )
     seconds = sum(left_s(spec, layout, expected).values()) if layout else sum(expected.values())
     begun = layout is not None and layout.bake_marker.is_file()
-    column.label(text=f"About {cost_model.duration(seconds)}{' left' if begun else ''}", icon="TIME")
+    column.label(text=f"About {duration(seconds)}{' left' if begun else ''}", icon="TIME")
     column.label(text=f"{prediction.memory_mb / 1000:.1f} GB of memory", icon="MEMORY")
     column.label(text=f"{prediction.disk_mb / 1000:.2f} GB of disk", icon="DISK_DRIVE")
     source = f"within {100 * prediction.error:.0f} %" if prediction.error < 1 else "roughly"

@@ -97,10 +97,12 @@ def serve(spec: SceneSpec, layout: Layout, progress: Reporter) -> None:
     cycles.plates(spec, layout)
     renderer = cycles.FrameRenderer(spec, layout)
     progress.line(ready=True)
+    cpu_s = 0.0  # so that the start and the plates count with the first picture
     for line in sys.stdin:
-        order, start, cpu = json.loads(line), time.perf_counter(), time.process_time()
+        order, start, before_s = json.loads(line), time.perf_counter(), cpu_s
         renderer(order["frame"], order["camera"])
-        cost = {"seconds": time.perf_counter() - start, "cpu_s": time.process_time() - cpu, "peak_mb": peak_memory_mb()}
+        cpu_s = time.process_time()
+        cost = {"seconds": time.perf_counter() - start, "cpu_s": cpu_s - before_s, "peak_mb": peak_memory_mb()}
         progress.line(rendered=order | cost)
 
 

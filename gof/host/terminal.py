@@ -8,9 +8,11 @@ import sys
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from datetime import timedelta
 from typing import TYPE_CHECKING
 
 from gof.core.errors import printable
+from gof.core.time_left import TimeLeft, duration
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -42,9 +44,36 @@ def report_progress(stage: str, done: int, total: int, **figures) -> None:
     print(json.dumps({"progress": {"stage": stage, "done": done, "total": total, **figures}}), flush=True)
 
 
+class _Left:
+    """The time left in a bar, in words of this very moment."""
+
+    def __init__(self, left: TimeLeft, after_s: float):
+        self._left, self._after_s = left, after_s
+        self._child: tuple[float, float] | None = None  # seconds that a child told, and when
+
+    def update(self, part: str, share: float, child_s: float | None) -> None:
+        self._left.reach(part, share)
+        self._child = None if child_s is None else (child_s, time.monotonic())
+
+    @property
+    def seconds(self) -> float | None:
+        own = self._left.seconds if self._child is None else self._child[0] - (time.monotonic() - self._child[1])
+        return None if own is None else max(own, 0.0) + self._after_s
+
+    def __str__(self) -> str:
+        return "-:--:--" if self.seconds is None else str(timedelta(seconds=round(self.seconds)))
+
+
 @contextmanager
-def progress_bar(title: str, ticking: bool = False) -> Iterator[Callable[..., None]]:
-    """Provide a progress line with elapsed time and time left; yields update(done, total, note="").
+def progress_bar(
+    title: str, ticking: bool = False, left: TimeLeft | None = None, after_s: float = 0.0
+) -> Iterator[Callable[..., None]]:
+    """Provide a progress line with elapsed time and time left (`gof.core.time_left`); yields update(done, total,
+    note="", share=done / total).
+
+    Args:
+        left: of work that the bar is a part of, the one named `title`; the bar then shows what all of that needs.
+        after_s: seconds of other work after that; they are added.
 
     It is seen from the first update on, so that input which is refused before is refused without one. `ticking` draws
     it at once, and again between updates, on a thread of its own. That must not be where Dr.Jit works: a garbage
@@ -54,7 +83,14 @@ def progress_bar(title: str, ticking: bool = False) -> Iterator[Callable[..., No
     In a child of `run_worker` it prints progress lines instead, and the parent draws the bar.
     """
     if os.environ.get(WORKER_VARIABLE):
-        yield lambda done, total, stage=title, **figures: report_progress(stage, done, total, **figures)
+
+        def tell(done: int, total: int, stage: str = title, share: float | None = None, **figures) -> None:
+            if left is not None:
+                left.reach(stage, done / max(total, 1) if share is None else share)
+                figures["left_s"] = left.seconds
+            report_progress(stage, done, total, **figures)
+
+        yield tell
         return
     if os.environ.get(QUIET_VARIABLE):
         yield lambda *_, **__: None
@@ -66,7 +102,6 @@ def progress_bar(title: str, ticking: bool = False) -> Iterator[Callable[..., No
         Progress,
         TextColumn,
         TimeElapsedColumn,
-        TimeRemainingColumn,
     )
 
     columns = (
@@ -75,23 +110,34 @@ def progress_bar(title: str, ticking: bool = False) -> Iterator[Callable[..., No
         MofNCompleteColumn(),
         TimeElapsedColumn(),
         TextColumn("left"),
-        TimeRemainingColumn(elapsed_when_finished=False),
+        TextColumn("{task.fields[left]}"),
         TextColumn("{task.fields[note]}"),
     )
     console = Console(stderr=True)
-    progress = Progress(*columns, console=console, auto_refresh=ticking, refresh_per_second=4, speed_estimate_period=60)
-    task = progress.add_task(title, total=None, note="")
+    progress = Progress(*columns, console=console, auto_refresh=ticking, refresh_per_second=4)
+    shown = _Left(left or TimeLeft(), after_s)
+    task = progress.add_task(title, total=None, note="", left=shown)
     last = 0.0
 
-    def update(done: int, total: int, note: str = "", stage: str = "", **_):
+    def update(
+        done: int,
+        total: int,
+        note: str = "",
+        stage: str = "",
+        share: float | None = None,
+        left_s: float | None = None,
+        **_,
+    ):
         nonlocal last
+        shown.update(stage or title, done / max(total, 1) if share is None else share, left_s)
         progress.start()
         progress.update(task, completed=done, total=total, note=note, description=stage or title)
         if not ticking:
             progress.refresh()
         if not console.is_terminal and (done == total or time.monotonic() - last > 15):
             last = time.monotonic()
-            print(f"{stage or title}: {done}/{total} {note}".rstrip(), file=sys.stderr, flush=True)
+            said = f", {duration(shown.seconds)} left" if shown.seconds and done < total else ""
+            print(f"{stage or title}: {done}/{total} {note}".rstrip() + said, file=sys.stderr, flush=True)
 
     if ticking:
         progress.start()

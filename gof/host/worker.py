@@ -16,13 +16,14 @@ from gof.host.processes import end, start
 from gof.host.terminal import WORKER_VARIABLE, progress_bar
 
 
-def run_worker(argv: list[str], title: str, log: Path | None = None) -> StageCost:
+def run_worker(argv: list[str], title: str, log: Path | None = None, after_s: float = 0.0) -> StageCost:
     """Run a child process that prints progress lines; show them as a progress bar.
 
     Args:
         argv: the command.
         title: what the bar says.
         log: file to append the child's other output to; its last lines are shown when it fails.
+        after_s: seconds of other work after it, which the time left counts too.
     Returns:
         the child's wall seconds and peak memory (with its own children's); settings hold the figures of its last
         progress line.
@@ -45,7 +46,7 @@ def run_worker(argv: list[str], title: str, log: Path | None = None) -> StageCos
     )
     peak = _PeakMemory(child.pid)
     try:
-        with progress_bar(title, ticking=True) as update:
+        with progress_bar(title, ticking=True, after_s=after_s) as update:
             for line in child.stdout or ():
                 if message := _progress_of(line):
                     figures = message

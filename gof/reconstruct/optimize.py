@@ -141,6 +141,7 @@ def optimize(
     start = load_checkpoint(checkpoint, flame.optimizer, resized=schedule.density_control)
     mean_loss = None
     held_out = None
+    monitor.progress(start, schedule.iterations, note="")  # the time left is counted from here
     for step in range(start, schedule.iterations):
         loss = take_step(step, flame, pictures, schedule, units)
         done = step + 1

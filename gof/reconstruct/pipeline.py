@@ -13,15 +13,16 @@ from pathlib import Path
 from gof.core.costs import StageLog
 from gof.core.errors import GofError
 from gof.core.files import only_run_in
+from gof.core.time_left import LEAST_S, Machine, Paces, TimeLeft, duration
 from gof.dataset import Dataset
 from gof.dataset.leaks import refuse_leaked_work, refuse_leaks
 from gof.reconstruct import memory, sanity, stages
 from gof.reconstruct.density import MOST_GROWTH
 from gof.reconstruct.flow_prior import VOXELS
 from gof.reconstruct.heldout import HeldOut
-from gof.reconstruct.methods import METHODS
+from gof.reconstruct.methods import METHODS, Method
 from gof.reconstruct.optical_flow import flow_method
-from gof.reconstruct.presets import step_ms
+from gof.reconstruct.presets import REST_S, seeing_s, step_ms
 from gof.reconstruct.seen import uses_flow_prior
 from gof.reconstruct.settings import ReconstructionSettings, Until
 from gof.reconstruct.shrink import shrink
@@ -60,10 +61,17 @@ def reconstruct(
             return finished
         small = shrink(dataset, settings.longest_side)
         flow = flow_method(settings.flow, flow_weights)
-        run = stages.Run(small, settings, METHODS[settings.method], flow, out, StageLog(out / "costs.json"))
         _require_motion(small)
+        method, machine = METHODS[settings.method], Machine.measured_now()
+        parts = expected_parts(small, settings, method)
+        left = TimeLeft(Paces.known().expected_s(parts, machine))
+        run = stages.Run(small, settings, method, flow, out, StageLog(out / "costs.json"), left)
         _require_possible(run, anyway)
-        return _run_stages(run, until)
+        begun_before = run.log.path.exists()
+        made = _run_stages(run, until)
+        if made is not None and not begun_before:
+            _learn(parts, left, machine)
+        return made
 
 
 def _run_stages(run: stages.Run, until: Until) -> stages.Reconstruction | None:
@@ -90,30 +98,50 @@ def _require_motion(dataset: Dataset) -> None:
         )
 
 
+def expected_parts(dataset: Dataset, settings: ReconstructionSettings, method: Method) -> dict[str, float]:
+    """Return seconds on the machine of `gof.core.time_left` for each part of a reconstruction, by its bar's title.
+
+    Args:
+        dataset: at the size that is reconstructed.
+    """
+    frames, camera = len(dataset.train_frames), dataset.cameras[0]
+    picture = camera.width * camera.height
+    pixels = round((sanity.window_share(dataset) if method.windows else 1.0) * picture)
+    voxels = max(settings.voxels, VOXELS) if uses_flow_prior(settings) else settings.voxels
+    steps = {"optimise": settings.iterations}
+    if settings.scene == "gaussians":  # the still scene has its own steps
+        steps = {"background": stages.still_steps(settings)} | steps
+    native = kernels().name == "native"
+    each_ms = step_ms(settings.gaussians, frames, pixels, native, method.density_control, method.unseen > 0)
+    seeing = seeing_s(frames, frames * len(dataset.cameras) * picture, voxels)
+    return seeing | {part: count * each_ms / 1e3 for part, count in steps.items()} | {"rest": REST_S}
+
+
+def _learn(parts: dict[str, float], left: TimeLeft, before: Machine) -> None:
+    """Keep what the parts took over what was expected of them; other programs' share is the mean of two probes."""
+    left.end()
+    crowded = (before.crowded * Machine.measured_now().crowded) ** 0.5
+    paces = Paces.known()
+    for part in (part for part in parts.keys() & left.took_s.keys() if parts[part] >= LEAST_S):
+        paces = paces.with_run(part, left.took_s[part] / parts[part] / crowded)
+    paces.keep()
+
+
 def _require_possible(run: stages.Run, anyway: bool) -> None:
     """Say how long it will take and how much memory, and what is wrong or odd, before the time is spent.
 
     Raises GofError: an input is impossible or the memory too small, and `anyway` is not set.
     """
-    settings, camera = run.settings, run.dataset.cameras[0]
-    steps, gaussians = settings.iterations, settings.gaussians
-    native = kernels().name == "native"
-    of_all_steps = steps
-    if settings.scene == "gaussians":  # the still scene has its own steps, and as many Gaussians again
-        of_all_steps, gaussians = steps + stages.still_steps(settings), 2 * gaussians
+    settings = run.settings
+    gaussians = settings.gaussians * (2 if settings.scene == "gaussians" else 1)  # the still scene has as many again
     if run.method.density_control:
         gaussians += (MOST_GROWTH - 1) * settings.gaussians
     window = sanity.window_share(run.dataset) if run.method.windows else 1.0
-    pixels = round(window * camera.width * camera.height)
-    seconds = (
-        of_all_steps
-        * step_ms(settings.gaussians, pixels, native, run.method.density_control, run.method.unseen > 0)
-        / 1e3
-    )
     voxels = max(settings.voxels, VOXELS) if uses_flow_prior(settings) else settings.voxels
     needed = memory.needed_for(run.dataset, gaussians, voxels, window)
     print(
-        f"{steps} steps: about {max(seconds / 60, 0.1):.1f} min on two free CPU cores, and {memory.in_words(needed)}",
+        f"{settings.iterations} steps: about {duration(sum(run.left.expected_s.values()))} in all on this machine as "
+        f"busy as it is now, and {memory.in_words(needed)}",
         file=sys.stderr,
     )
     if len(run.dataset.cameras) == 1:

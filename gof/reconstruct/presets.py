@@ -64,23 +64,34 @@ def effort_of(
 
 
 STILL_STEPS = 1 / 3  # of the flame's: the paper's 10 000 and 30 000
-HELD = 1.3  # times a step's time, where the flame is held over other plates and from all around (dev fires)
-NATIVE_SHARE = 0.6  # of a step's time that is left with the native kernels
+UNHELD = 1 / 1.3  # times a step's time, where no flame is held over other plates and from all around (dev fires)
+DRJIT = 1 / 0.6  # times a step's time, without the native kernels
+REST_S = 2.0  # files that are written at the end
 
 
-def step_ms(gaussians: int, pixels: int, native: bool, all_drawn: bool = False, held: bool = False) -> float:
-    """Expected ms of an optimisation step on two free CPU cores.
+def step_ms(
+    gaussians: int, frames: int, pixels: int, native: bool, all_drawn: bool = False, held: bool = False
+) -> float:
+    """Expected ms of an optimisation step on the machine of `gof.core.time_left`.
 
-    By hand through four runs on the demo, of 36 and of 50 frames: 60 000, 100 000, 120 000 and 300 000 Gaussians,
-    windows of 53 000, 48 000, 164 000 and 603 000 pixels: 9.8, 9.1, 16.2 and 51 ms, within 13 %.
+    By hand through three runs there: the sample's `toy` and `preview` and the demo took 12, 25 and 21 ms, and through
+    four on a quicker machine of 36 and 50 frames; all within 13 %.
 
     Args:
-        gaussians: in all frames together.   pixels: that are drawn.
+        gaussians: in all frames together.   frames: for training.   pixels: that are drawn.
         native: whether the renderer's native kernels run (`gof.render.backend.kernels`).
         all_drawn: whether every step has all Gaussians, and not those alone that are alight.
         held: whether every step also draws a view from where no camera stood (`gof.reconstruct.unseen`).
     """
-    per_gaussian = 0.085e-3 if all_drawn else 0.025e-3
-    return (
-        (8.8 + per_gaussian * gaussians + 0.113e-3 * pixels) * (NATIVE_SHARE if native else 1) * (HELD if held else 1)
-    )
+    of_gaussians = 0.18e-3 * gaussians if all_drawn else 2.5e-3 * gaussians / frames
+    whole = 8.5 + of_gaussians + 0.145e-3 * pixels
+    return whole * (1 if native else DRJIT) * (1 if held else UNHELD)
+
+
+def seeing_s(frames: int, training_pixels: int, voxels: int) -> dict[str, float]:
+    """Return seconds of the stages before the optimisation, on the same machine, by the titles of their bars.
+
+    Args:
+        frames: for training.   training_pixels: of all their pictures.   voxels: along the flame's longest side.
+    """
+    return {"motion": 0.9 + 0.67e-6 * training_pixels, "flow field": 0.2 * frames * (voxels / 72) ** 2}

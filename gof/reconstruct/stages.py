@@ -16,6 +16,7 @@ import numpy as np
 from gof.core.cameras import in_words
 from gof.core.costs import StageCost, StageLog
 from gof.core.gaussians import TransientGaussians
+from gof.core.time_left import TimeLeft
 from gof.dataset import Dataset
 from gof.dataset.leaks import MadeFrom
 from gof.dataset.plates import save_plates
@@ -52,6 +53,7 @@ class Run:
     flow: Flow
     out: Path
     log: StageLog
+    left: TimeLeft
 
     @property
     def source(self) -> str:
@@ -90,7 +92,7 @@ class Reconstruction:
 
 def see_motion(run: Run) -> Observation:
     """Pictures, masks, plates and optical flow of the training frames, changed as the ablation wants."""
-    with run.log.measure("motion") as figures, progress_bar("motion") as progress:
+    with run.log.measure("motion") as figures, progress_bar("motion", left=run.left) as progress:
         observation = observation_of(run.dataset, run.settings, run.flow, progress)
         stage_images.save_observation(run.out / "stages", observation)
         figures.update(frames=len(observation.frames), cameras=len(observation.cameras))
@@ -133,7 +135,7 @@ def still_steps(settings: ReconstructionSettings) -> int:
 
 def make_flow_field(run: Run, observation: Observation) -> FlowField:
     """Return the flame's voxels in every frame and their velocities, corrected by the flow prior where it is used."""
-    with run.log.measure("flow_field") as figures, progress_bar("flow field") as progress:
+    with run.log.measure("flow_field") as figures, progress_bar("flow field", left=run.left) as progress:
         field = flow_field_of(run.dataset, run.settings, observation, progress)
         stage_images.save_flow_field(run.out / "stages", field)
         voxels = field.voxels
@@ -228,7 +230,7 @@ def fit(
             gaussians=len(seeds),
             window_px=[windows.width, windows.height],
         ),
-        progress_bar("optimise") as progress,
+        progress_bar("optimise", left=run.left) as progress,
         threads_for(windows.width * windows.height),
     ):
         whole = partial(windows.plates, plates=observation.plate, blocked=observation.blocked)
