@@ -6,6 +6,7 @@ import pytest
 
 from gof.core import time_left
 from gof.core.time_left import Machine, Paces, TimeLeft, duration
+from gof.reconstruct import pipeline
 
 
 class Clock:
@@ -74,6 +75,17 @@ def test_earlier_work_of_the_kind_says_what_the_next_takes(tmp_path, monkeypatch
     assert Paces.known().ratios == {}
     monkeypatch.setenv("XDG_CACHE_HOME", "/proc")
     Paces({"fit": 1.0}).keep()
+
+
+@pytest.mark.parametrize(("crowded", "learned"), [(1.1, {"fit": 3.0}), (4.0, {})])
+def test_of_a_crowded_run_nothing_is_learned(tmp_path, monkeypatch, crowded, learned):
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    clock, machine = Clock(), Machine(1.0, crowded)
+    left = TimeLeft({"fit": 10.0}, clock)
+    run(left, clock, "fit", 30.0 * crowded)
+    monkeypatch.setattr(Machine, "measured_now", lambda: machine)
+    pipeline._learn({"fit": 10.0}, left, machine)
+    assert Paces.known().ratios == pytest.approx(learned)
 
 
 def test_a_probe_tells_slow_cores_from_a_crowd(monkeypatch):

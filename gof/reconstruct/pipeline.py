@@ -28,6 +28,8 @@ from gof.reconstruct.settings import ReconstructionSettings, Until
 from gof.reconstruct.shrink import shrink
 from gof.render.backend import kernels
 
+CROWDED = 1.3  # seconds of the clock for a CPU second, from which on a run says nothing of this machine's pace
+
 
 def reconstruct(
     dataset: Dataset,
@@ -118,9 +120,14 @@ def expected_parts(dataset: Dataset, settings: ReconstructionSettings, method: M
 
 
 def _learn(parts: dict[str, float], left: TimeLeft, before: Machine) -> None:
-    """Keep what the parts took over what was expected of them; other programs' share is the mean of two probes."""
+    """Keep what the parts took over what was expected of them; other programs' share is the mean of two probes.
+
+    Of a crowded run nothing is learned: the probes do not say how crowded it was between them.
+    """
     left.end()
     crowded = (before.crowded * Machine.measured_now().crowded) ** 0.5
+    if crowded > CROWDED:
+        return
     paces = Paces.known()
     for part in (part for part in parts.keys() & left.took_s.keys() if parts[part] >= LEAST_S):
         paces = paces.with_run(part, left.took_s[part] / parts[part] / crowded)
