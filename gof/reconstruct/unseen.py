@@ -25,7 +25,7 @@ from gof.reconstruct.tomography import find_compact_emission
 from gof.reconstruct.voxels import FlameVoxels
 from gof.render.bins import BLOCK
 
-VIEWS = 12  # around the flame, one every 30 degrees
+VIEWS = 12  # around the flame, one every 30 degrees; and one from above
 SATURATED, OFTEN = 0.95, 0.02  # linear light; the share of a flame's pixels
 THICKEST = 2e-3  # of the light that passes through: what is thicker is not told apart
 BLUR = 0.6  # px; voxels are points on a grid, and drawn on another one they would beat
@@ -114,7 +114,8 @@ def unsaturated_light(observation: Observation) -> np.ndarray:
 
 
 def cameras_around(voxels: FlameVoxels, cameras: list[Camera], views: int = VIEWS) -> list[Camera]:
-    """Return cameras as far from the flame as the given ones, and as high above it, at even angles (+z is up).
+    """Return cameras as far from the flame as the given ones, `views` at even angles and as high above it (+z is up),
+    and one that looks straight down.
 
     None stands nearer than the flame is long: it would have a part of it beside or behind itself. Pixels are as large
     as voxels in the middle of the flame, and pictures no larger than it needs.
@@ -126,7 +127,8 @@ def cameras_around(voxels: FlameVoxels, cameras: list[Camera], views: int = VIEW
     climb = np.arctan2(away[:, 2], np.linalg.norm(away[:, :2], axis=1)).mean()
     first = np.arctan2(*away[len(cameras) // 2, 1::-1]) + np.pi / views
     around = []
-    for k, angle in enumerate(first + 2 * np.pi * np.arange(views) / views):
+    ring = [(angle, climb) for angle in first + 2 * np.pi * np.arange(views) / views]
+    for k, (angle, climb) in enumerate([*ring, (first, np.pi / 2)]):
         out = np.array([np.cos(climb) * np.cos(angle), np.cos(climb) * np.sin(angle), np.sin(climb)])
         right = np.array([-np.sin(angle), np.cos(angle), 0])
         turn = np.stack([right, np.cross(-out, right), -out])

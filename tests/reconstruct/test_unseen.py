@@ -97,21 +97,25 @@ def test_a_ball_is_a_ball_from_everywhere():
         assert light[lengths[0] == 0].mean() < 0.05 * true.max(), "there is hardly anything beside it"
 
 
-def test_they_stand_around_the_flame_and_have_all_of_it_in_view():
+def test_they_stand_around_the_flame_and_above_it_and_have_all_of_it_in_view():
     cameras = arc(3)
     masks, _ = ball(cameras, MIDDLE, RADIUS)
     voxels = carve(cameras, masks[None], 24)
-    around = cameras_around(voxels, cameras, 8)
+    *around, above = cameras_around(voxels, cameras, 8)
     middle = (voxels.center.min(0) + voxels.center.max(0)) / 2
     offset = np.stack([camera.position for camera in around]) - middle
     given = np.stack([camera.position for camera in cameras]) - middle
     assert np.linalg.norm(offset, axis=1) == pytest.approx(np.linalg.norm(given, axis=1).mean())
     turned = np.diff(np.unwrap(np.arctan2(offset[:, 1], offset[:, 0])))
     assert turned == pytest.approx(np.pi / 4)
-    for camera in around:
+    assert all(camera.world_to_camera[1, 2] < 0 for camera in around), "up is up"
+    np.testing.assert_allclose(above.world_to_camera[2, :3], [0, 0, -1], atol=1e-12, err_msg="it looks straight down")
+    np.testing.assert_allclose(
+        above.position - middle, [0, 0, np.linalg.norm(offset[0])], atol=1e-9, err_msg="as far away"
+    )
+    for camera in (*around, above):
         pixel, depth = camera.project(voxels.center)
         assert (depth > 0).all() and (pixel > 0).all() and (pixel < [camera.width, camera.height]).all()
-        assert camera.world_to_camera[1, 2] < 0, "up is up"
         rotation = camera.world_to_camera[:3, :3]
         assert rotation @ rotation.T == pytest.approx(np.eye(3)) and np.linalg.det(rotation) == pytest.approx(1)
     beside = np.array(
