@@ -132,7 +132,7 @@ def connected(monkeypatch):
     seen = []
 
     class Sum:
-        def __init__(self, spec, layout, workers, log):
+        def __init__(self, spec, layout, workers, log, machine):
             self.workers = workers
 
         def run(self):

@@ -135,7 +135,7 @@ def test_the_row_of_a_study_belongs_to_its_settings(dataset, tmp_path, monkeypat
 
     started = []
 
-    def no_worker(command, title, log=None):
+    def no_worker(command, title, log=None, after_s=0.0):
         started.append(command)
         raise GofError("stopped here")
 
@@ -174,7 +174,7 @@ def test_settings_are_equal_field_by_field(tmp_path):
 def test_a_demo_belongs_to_its_scene_and_its_options(tmp_path, monkeypatch):
     from gof_benchmark.commands import demo
 
-    def no_worker(command, title, log=None):
+    def no_worker(command, title, log=None, after_s=0.0):
         raise GofError("stopped here")
 
     monkeypatch.setattr(demo, "run_worker", no_worker)

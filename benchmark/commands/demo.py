@@ -210,7 +210,7 @@ def expected_s(config: DemoConfig, machine: Machine) -> dict[str, float]:
     seconds = {"generate": predict_here(spec, machine).total_s}
     seconds["reconstruct"] = START_S + sum(paces.expected_s(parts, machine).values())
     seconds |= paces.expected_s(SECONDS, machine)
-    return {stage.name: 0.0 if stage.finished else seconds[stage.name] for stage in stages_of(config)}
+    return {stage.name: 0.0 if stage.finished else seconds.get(stage.name, 0.0) for stage in stages_of(config)}
 
 
 def stage_costs(config: DemoConfig) -> list[StageCost]:

@@ -13,7 +13,7 @@ from gof.commands.everywhere import beside, require_free, write_figures
 from gof.commands.read import read_options
 from gof.core.errors import GofError
 from gof.dataset import Dataset
-from gof.evaluate.flow import FlowScores, score_views, views
+from gof.evaluate.flow import FlowScores, View, score_views, views
 from gof.host.terminal import console, progress_bar
 from gof.look.flow import FlowFile, write_views
 from gof.look.player.opened import newest, open_moving
@@ -65,7 +65,7 @@ def main(argv: list[str]) -> int:
     frames = range(len(dataset.times_s)) if config.all_frames else dataset.test_frames
     if not frames:
         raise GofError(f"{config.dataset}: no frame is held out; give --all-frames")
-    chosen = views(dataset, config.cameras, frames)
+    chosen = _choose(views(dataset, frames), config)
     out_folder = config.out or beside(newest(config.result), "flow")
     require_free(out_folder)
     result = open_moving(config.result)
@@ -86,6 +86,22 @@ def main(argv: list[str]) -> int:
     figures = {"out": str(out_folder), "unit": UNIT, "frame_time_s": frame_time_s, "pictures": count}
     write_figures(figures | {"full_brightness_px_s": longest, "scores": scores and asdict(scores)})
     return 0
+
+
+def _choose(found: list[View], config: FlowConfig) -> list[View]:
+    """Return the views of the cameras that were named, or of all, which have pictures of the frames.
+
+    Raises:
+        GofError: there is no such camera, or none has such a frame.
+    """
+    names = {view.name for view in found}
+    unknown = [name for name in config.cameras if name not in names]
+    if unknown:
+        raise GofError(f"--cameras {unknown[0]}: {config.dataset} has {', '.join(view.name for view in found)}")
+    chosen = [view for view in found if view.frames and (not config.cameras or view.name in config.cameras)]
+    if not chosen:
+        raise GofError(f"{config.dataset}: those cameras have no picture of these frames; try --all-frames")
+    return chosen
 
 
 def motion_table(scores: FlowScores) -> Table:

@@ -20,8 +20,6 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import ClassVar
 
-import numpy as np
-
 from .errors import GofError
 from .records import read_record, write_record
 
@@ -80,6 +78,8 @@ REFERENCE = Machine()
 
 def _probe(rounds: int) -> float:
     """Return CPU seconds of this thread for some arithmetic, in which numpy lets other threads work."""
+    import numpy as np  # here: help needs no numbers
+
     numbers = np.linspace(0, 1, PROBE_NUMBERS, dtype=np.float32)
     start = time.thread_time()
     for _ in range(rounds):

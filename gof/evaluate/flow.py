@@ -7,7 +7,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from gof.core.errors import GofError
 from gof.core.flow import FlowErrors, FlowScore
 from gof.core.gaussians import MovingGaussians
 from gof.dataset import Dataset
@@ -36,27 +35,15 @@ class View:
         return bool(self.frames) and self.dataset.has_flow(self.camera)
 
 
-def views(dataset: Dataset, names: Sequence[str], frames: Iterable[int]) -> list[View]:
-    """Return cameras of a dataset, of every role, with those of the frames that they have pictures of.
-
-    Args:
-        names: of cameras; () for all of them.
-    Raises:
-        GofError: there is no such camera, or none has such a frame.
-    """
+def views(dataset: Dataset, frames: Iterable[int]) -> list[View]:
+    """Return a dataset's cameras, of every role, with those of the frames that they have pictures of, maybe none."""
     parts = [part for part in (dataset, dataset.evaluation_view(), dataset.around_view()) if part is not None]
-    found = {}
+    found = []
     for part in parts:
-        for number, camera in enumerate(part.cameras):
+        for number in range(len(part.cameras)):
             known = set(part.frames(number))
-            found[camera.name] = View(part, number, tuple(k for k in frames if k in known))
-    unknown = [name for name in names if name not in found]
-    if unknown:
-        raise GofError(f"--cameras {unknown[0]}: {dataset.path} has {', '.join(found)}")
-    chosen = [view for view in found.values() if view.frames and (not names or view.name in names)]
-    if not chosen:
-        raise GofError(f"{dataset.path}: those cameras have no picture of these frames; try --all-frames")
-    return chosen
+            found.append(View(part, number, tuple(k for k in frames if k in known)))
+    return found
 
 
 def motion(gaussians: MovingGaussians, view: View, frame: int, nominal: bool = False) -> ScreenVelocity:

@@ -148,9 +148,9 @@ def _flow(
 ) -> FlowScores | None:
     """Score the motion of pixels, as `gof flow` does, on the held-out pictures whose exact motion is known."""
     frames = [frame for frame in dataset.test_frames if known[frame]]
-    chosen = [view for view in views(dataset, (), frames) if view.has_truth] if frames else []
-    if not chosen:
+    if not frames or not any(map(dataset.has_flow, range(len(dataset.cameras)))):
         return None
+    chosen = [view for view in views(dataset, frames) if view.has_truth]
     with timed(costs, "flow"):
         return score_views(gaussians, chosen, partial(progress, stage="flow"))
 
