@@ -29,6 +29,7 @@ class ConvertConfig:
       gof convert out/fire/result.npz fire.glb --time 0.15
       gof convert out/fire/result.npz fire.4dgs --clip 0 0.35
       gof convert out/fire/result.npz frames --frame-time 0.01 --clip 0 0.35
+      gof convert out/fire/result.npz lit.4dgs --clip 0 0.35 --into room.ply
       gof convert chkpnt30000.pth mine.npz --time-unit 0.35 --align sparse/0 --dataset data/fire
       gof convert chkpnt30000.pth --time-unit 0.35
 
@@ -42,7 +43,7 @@ class ConvertConfig:
     command that reads RESULT uses them. docs/importers.md lists what each method needs.
     """
 
-    FIRST: ClassVar = ("time", "clip", "frame_time", "time_unit", "time_zero", "world", "flame_only")
+    FIRST: ClassVar = ("time", "clip", "frame_time", "into", "time_unit", "time_zero", "world", "flame_only")
 
     result: tyro.conf.Positional[Annotated[Path, tyro.conf.arg(metavar="RESULT")]]
     """File or folder of any method that docs/importers.md lists."""
@@ -55,6 +56,9 @@ class ConvertConfig:
     the last one is gone."""
     frame_time: Seconds | None = None
     """From one frame to the next, for results that count frames, for USD and for a folder of PLYs."""
+    into: Path | None = None
+    """Room in which the flame is to stand, with its light on it: a 3DGS PLY, or JSON that also says where (keys room,
+    at, scale, turn_deg, up, start_s, light)."""
     time_unit: Seconds | None = None
     """One unit of the method's time (FreeTimeGS: the whole clip; PLY sequence: from one number to the next)."""
     time_zero: Seconds = 0.0
@@ -63,8 +67,6 @@ class ConvertConfig:
     """COLMAP model (folder), or JSON with "training_to_world": the method's normalisation of that world is undone."""
     world_by: WorldBy | None = None
     """Program that normalised the world: FreeTimeGsVanilla's own, or gsplat's; default: found out from the result."""
-    code_date: str | None = None
-    """Date, as 2024-09-15, of the code that trained it, where the meaning of its files has changed (4DGS of Yang)."""
     flame_only: bool = False
     """Mark another method's result as a flame alone: it is then drawn over the fire-free backgrounds, as gof's own."""
     align: Path | None = None
@@ -76,7 +78,7 @@ class ConvertConfig:
     def foreign(self) -> ImportOptions:
         """Return the options' statements on the result. Raises GofError: see `ImportOptions`."""
         times = self.time_unit, self.time_zero, self.frame_time
-        return ImportOptions(*times, self.world, self.world_by, self.code_date, self.flame_only)
+        return ImportOptions(*times, self.world, self.world_by, flame_only=self.flame_only)
 
 
 def main(argv: list[str]) -> int:
@@ -92,7 +94,7 @@ def main(argv: list[str]) -> int:
     if config.align is not None and config.dataset is not None:
         imported = _moved(imported, config.align, Dataset.open(config.dataset))
     first, last = config.clip or (None, None)
-    made = convert(imported, config.out, first, last, options.frame_time_s, config.time, may_overwrite())
+    made = convert(imported, config.out, first, last, options.frame_time_s, config.time, may_overwrite(), config.into)
     seconds = time.perf_counter() - began
     count = len(imported.gaussians)
     out = console()
@@ -111,10 +113,11 @@ def _write_down(config: ConvertConfig) -> int:
     if not any(getattr(options, name) for name in FIELDS):
         raise GofError(
             "name a file to write (OUT), or say something of RESULT that its files do not: --time-unit, --time-zero, "
-            "--frame-time, --world, --world-by, --code-date, --flame-only"
+            "--frame-time, --world, --world-by, --flame-only"
         )
-    if (config.time, config.clip, config.align) != (None,) * 3:
-        raise GofError("--time, --clip and --align are for a file that is written; name it (OUT)")
+    if (config.time, config.clip, config.align, config.into) != (None,) * 4:
+        raise GofError("--time, --clip, --align and --into are for a file that is written; name it (OUT)")
+    options = replace(options, code_date=with_said(config.result, options)[0].code_date)  # no option says it
     imported = read_result(config.result, options)
     path = write_said(config.result, options)
     out = console()

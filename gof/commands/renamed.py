@@ -81,17 +81,22 @@ def _written_down(option: str) -> Gone:
     return Gone(f"is written down once, for every command: gof convert RESULT {option} writes RESULT.gof.json")
 
 
+CODE_DATE = Gone(
+    'stands beside the result now: RESULT.gof.json with {"schema": "gof-import", "version": 1, "code_date": '
+    '"2024-09-15"}'
+)
+CLIP = Gone("is a part of --clip FIRST LAST now, in seconds")
+TO_WRITE_DOWN = {
+    "--time-unit": "SECONDS",
+    "--time-zero": "SECONDS",
+    "--frame-time": "SECONDS",
+    "--world": "FOLDER",
+    "--world-by": "METHOD",
+    "--flame-only": "",
+}
 FOREIGN: dict[str, Change] = {
-    option: _written_down(f"{option} {value}".rstrip())
-    for option, value in {
-        "--time-unit": "SECONDS",
-        "--time-zero": "SECONDS",
-        "--frame-time": "SECONDS",
-        "--world": "FOLDER",
-        "--world-by": "METHOD",
-        "--code-date": "DATE",
-        "--flame-only": "",
-    }.items()
+    "--code-date": CODE_DATE,
+    **{option: _written_down(f"{option} {value}".rstrip()) for option, value in TO_WRITE_DOWN.items()},
 }
 EFFORT: dict[str, Change] = {"--iterations": New("--steps"), "--longest-side": New("--max-size")}
 BOARD: dict[str, Change] = {"--template": New("--board")}
@@ -134,7 +139,11 @@ TABLE: dict[str, Changes] = {
     ),
     "capture target": Changes(CHARUCO, leading={1: ("--out",)}),
     "convert": Changes(
-        {option: Gone("is a part of --clip FIRST LAST now, in seconds") for option in ("--start", "--end")}
+        {
+            "--start": CLIP,
+            "--end": CLIP,
+            "--code-date": CODE_DATE,
+        }
     ),
     "demo": Changes({"--iterations": New("--steps")}),
     "evaluate": Changes(

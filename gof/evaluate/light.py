@@ -1,12 +1,7 @@
 """Place of a result's light in space, against the true light: what pictures from one side leave open.
 
-A Gaussian adds alpha_i(t) g_i / s_i to the opacity per metre (`gof.evaluate.visible`) and shines in its own colour, so
-its whole light is
-
-    m_i = c_i (-log(1 - alpha_i)) (2 pi)^(3/2) s_i^2,   s_i = (s_x s_y s_z)^(1/3),
-
-with c_i the mean of its linear colour; -log(1 - alpha) is the thickness that an opacity stands for. Result and truth,
-each of light 1 a frame, are compared in cells of about 1/32 of the flame.
+The light of a Gaussian is m_i of `gof.core.shining`, as the mean of its colours. Result and truth, each of light 1 a
+frame, are compared in cells of about 1/32 of the flame.
 """
 
 from __future__ import annotations
@@ -16,17 +11,15 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from gof.core.colour import srgb_to_linear
 from gof.core.gaussians import MovingGaussians, TransientGaussians
-from gof.core.harmonics import plain_color
 from gof.core.rotations import rotation_matrices
+from gof.core.shining import shining_at
 from gof.evaluate.emission import FlameGrid
 from gof.evaluate.quadrature import product_rule
-from gof.evaluate.visible import DRAWN, opacity_per_metre
+from gof.evaluate.visible import opacity_per_metre
 
 CELLS = 32  # along the flame's longest side
 FRAMES = 8  # of a clip, evenly spread
-OPAQUE = 0.998  # alpha above which thickness is not told apart
 DARK = 0.01  # of the brightest cell: what is darker has no flame in it
 LEVEL = 0.1  # of a unit vector's length: a steeper view has no "along" that is level
 NARROW = 0.6  # cells: std-dev up to which three nodes an axis are dense enough, and a cell's centre is not
@@ -106,14 +99,9 @@ class _Shining:
 
     @classmethod
     def of(cls, state: TransientGaussians, time_s: float) -> _Shining:
-        position, alpha = state.at(time_s)
-        rows = np.flatnonzero(state.dynamic & (alpha >= DRAWN))
-        scale = state.scale[rows].astype(np.float64)
-        colour = srgb_to_linear(np.clip(plain_color(state.color[rows]), 0, 1)).mean(-1)
-        brightness = colour * -np.log1p(-np.minimum(alpha[rows].astype(np.float64), OPAQUE))
-        light = brightness * (2 * np.pi) ** 1.5 * np.cbrt(scale.prod(1)) ** 2
-        axes = rotation_matrices(state.rotation[rows]) * scale[:, None, :]
-        return cls(rows, position[rows].astype(np.float64), axes, brightness, light)
+        found = shining_at(state, time_s)
+        axes = rotation_matrices(state.rotation[found.rows]) * state.scale[found.rows].astype(np.float64)[:, None, :]
+        return cls(found.rows, found.middle, axes, found.brightness.mean(1), found.light.mean(1))
 
 
 def _light_of_cells(

@@ -19,8 +19,8 @@ import numpy as np
 
 from gof.core.gaussians import TransientGaussians
 from gof.core.rotations import rotation_matrices
+from gof.core.shining import DRAWN
 
-DRAWN = 1 / 255  # alpha below which nothing is drawn
 BATCH = 4000  # Gaussians at a time: bounds memory where all are large
 COMPILED_FROM = 5_000_000  # places times Gaussians; below, loading the compiler takes longer than numpy
 Pairs: TypeAlias = tuple[np.ndarray, np.ndarray, np.ndarray]  # place (P,), Gaussian (P,), alpha g (P,)

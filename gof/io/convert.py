@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -15,6 +16,7 @@ from gof.core.ply import splat_columns, write
 from gof.host.options import require_number
 from gof.io import compressed, dgs, fourdgs, gltf, tsog, usd
 from gof.io.importers import Imported, ImportOptions, gof_files, read_result
+from gof.io.into_room import put_into_room
 
 MOVING = {".4dgs": fourdgs, tsog.SUFFIX: tsog, dgs.SUFFIX: dgs}  # suffixes of formats that hold what ours do, rounded
 FRAMES = ("", *usd.SUFFIXES)  # suffixes of formats that hold one frame after another
@@ -29,6 +31,7 @@ def convert(
     frame_time_s: float | None = None,
     time_s: float | None = None,
     overwrite: bool = False,
+    into: Path | None = None,
 ) -> list[str]:
     """Write a result by suffix: .npz (exact), .ply (3DGS, time, velocity), .ftgs.ply, .4dgs, .tsog, .glb, .spz, .sog.
 
@@ -42,10 +45,11 @@ def convert(
         frame_time_s: seconds between two frames; with both of the above it tells an .ftgs.ply its number of frames.
         time_s: instant of a .glb, .spz or .sog; default: the middle of the Gaussians' times.
         overwrite: replace a file that is there; a folder never is.
+        into: room in which the flame is to stand, or the JSON that says where (`gof.io.into_room`).
     Raises:
         DataFormatError: the file exists, the suffix is unknown, positions sampled in time are to become a closed form,
             start_s, end_s or time_s is given for another format, frames without frame_time_s, or a value that the
-            format cannot hold.
+            format cannot hold; or as `put_into_room`.
     """
     require_number("--clip", start_s)
     require_number("--clip", end_s)
@@ -60,7 +64,7 @@ def convert(
         remedy = "remove it" if out.is_dir() else "replace it with --overwrite"
         raise DataFormatError(f"{out}: exists already; {remedy}, or choose another name")
     try:
-        return _written(imported, out, start_s, end_s, frame_time_s, time_s)
+        return _written(imported, out, start_s, end_s, frame_time_s, time_s, into)
     except NonFiniteError as e:
         raise DataFormatError(f"{out}: {e}; is the instant far from the result's times?") from e
 
@@ -72,32 +76,50 @@ def _written(
     end_s: float | None,
     frame_time_s: float | None,
     time_s: float | None,
+    into: Path | None,
 ) -> list[str]:
     """Return the file by its suffix; args and result as of `convert`."""
     gaussians = imported.gaussians
     source = gof_files.converted(imported.method, imported.path)
     if not isinstance(gaussians, TransientGaussians):
-        if out.suffix != ".npz":
-            raise DataFormatError(
-                f"{out}: positions sampled in time have no closed form; write .npz (gof-trajectory/1)"
-            )
+        remedy = "write .npz (gof-trajectory/1)" if into is None else "leave out --into"
+        if out.suffix != ".npz" or into is not None:
+            raise DataFormatError(f"{out}: positions sampled in time have no closed form; {remedy}")
         gaussians.save(out, source)
         return []
+    notes, color_at = [], None
+    room = None if into is None else put_into_room(gaussians, into)
+    if out.suffix in INSTANT and time_s is None:
+        time_s = _middle(room.flame if room else gaussians)
+        notes = [f"the instant is {time_s:.4f} s, the middle of the Gaussians' times; --time chooses another"]
+    if room is not None:
+        gaussians, light = room.lit(room.instants(start_s, end_s) if time_s is None else [time_s])
+        color_at = room.color_at if out.suffix in FRAMES else None
+        notes += [*room.notes, f"{light}; {_light_in(out)}"]
     if out.name.endswith(".ftgs.ply"):
-        return _save_ftgs(gaussians, out, start_s, end_s, frame_time_s)
+        return notes + _save_ftgs(gaussians, out, start_s, end_s, frame_time_s)
     if out.suffix in MOVING:
-        return _save_moving(gaussians, out, *_clip(gaussians, out, start_s, end_s), source)
-    if out.suffix in INSTANT:
-        return _save_instant(gaussians, out, time_s, source)
+        return notes + _save_moving(gaussians, out, *_clip(gaussians, out, start_s, end_s), source)
+    if time_s is not None:
+        return notes + _save_instant(gaussians, out, time_s, source)
     if out.suffix in FRAMES:
         if not frame_time_s:
             raise DataFormatError(f"{out}: USD and folders of PLYs need --frame-time, the seconds between two frames")
         clip = _clip(gaussians, out, start_s, end_s)
         if out.suffix:
-            return _save_usd(gaussians, out, *clip, frame_time_s, source)
-        return [*_measured(gaussians), *save_frames(gaussians, out, *clip, frame_time_s)]
+            return notes + _save_usd(gaussians, out, *clip, frame_time_s, source, color_at)
+        return [*notes, *_measured(gaussians), *save_frames(gaussians, out, *clip, frame_time_s, color_at)]
     gaussians.save(out, source)
-    return []
+    return notes
+
+
+def _light_in(out: Path) -> str:
+    """Return in words which light on a room a format holds."""
+    if out.suffix in FRAMES:
+        return "each frame has its own"
+    if out.suffix in INSTANT:
+        return "it is that of the instant"
+    return "its mean is written, since colours here do not change in time: USD and folders of PLYs hold each frame's"
 
 
 def _save_ftgs(
@@ -132,13 +154,21 @@ def _save_moving(gaussians: TransientGaussians, out: Path, start_s: float, end_s
 
 
 def _save_usd(
-    gaussians: TransientGaussians, out: Path, start_s: float, end_s: float, step_s: float, source: str
+    gaussians: TransientGaussians,
+    out: Path,
+    start_s: float,
+    end_s: float,
+    step_s: float,
+    source: str,
+    color_at: usd.ColorAt | None,
 ) -> list[str]:
     """Write USD; where OpenUSD's library is at hand, as for .usdc it is, read it again and say what rounding cost."""
-    seen, notes = usd.save(gaussians, out, start_s, end_s, step_s, source)
+    seen, notes = usd.save(gaussians, out, start_s, end_s, step_s, source, color_at)
     if out.suffix == ".usdc":
         back = read_result(out, ImportOptions()).gaussians
         assert isinstance(back, TransientGaussians)
+        if color_at is not None:  # what is read has the colours of the first frame
+            gaussians = replace(gaussians, color=color_at(start_s))
         notes.append(what_is_kept(gaussians[seen], back, start_s, end_s))
     return notes
 
@@ -151,12 +181,13 @@ def _measured(gaussians: TransientGaussians) -> list[str]:
     return [f"places count from ({x:.12g}, {y:.12g}, {z:.12g}) m and times from {t:.12g} s; the file cannot say so"]
 
 
-def _save_instant(gaussians: TransientGaussians, out: Path, time_s: float | None, source: str) -> list[str]:
+def _middle(gaussians: TransientGaussians) -> float:
+    moving = gaussians.t_mu[gaussians.dynamic]
+    return float(np.median(moving)) if len(moving) else 0.0
+
+
+def _save_instant(gaussians: TransientGaussians, out: Path, time_s: float, source: str) -> list[str]:
     notes = _measured(gaussians)
-    if time_s is None:
-        moving = gaussians.t_mu[gaussians.dynamic]
-        time_s = float(np.median(moving)) if len(moving) else 0.0
-        notes.append(f"the instant is {time_s:.4f} s, the middle of the Gaussians' times; --time chooses another")
     if out.suffix == ".glb":
         return notes + gltf.save(gaussians, out, time_s, source)
     return notes + compressed.save(gaussians, out, time_s)
@@ -178,11 +209,21 @@ VISIBLE = 1 / 255
 MOST_FRAMES = 100_000  # five digits
 
 
-def save_frames(gaussians: TransientGaussians, folder: Path, start_s: float, end_s: float, step_s: float) -> list[str]:
+def save_frames(
+    gaussians: TransientGaussians,
+    folder: Path,
+    start_s: float,
+    end_s: float,
+    step_s: float,
+    color_at: usd.ColorAt | None = None,
+) -> list[str]:
     """Write folder/frame00000.ply, ...: number k is the state at start_s + k step_s; the folder must not exist.
 
     The same Gaussians in the same order in every file, so that their ways can be followed; those that no file would
     show are left out. Returns what was written, in words.
+
+    Args:
+        color_at: gives the colours of all Gaussians at a time, where they change.
 
     Raises:
         DataFormatError: more frames than five digits count, or nothing is ever seen.
@@ -200,7 +241,10 @@ def save_frames(gaussians: TransientGaussians, folder: Path, start_s: float, end
     with whole_folder(folder) as whole:
         for number, time_s in enumerate(times):
             position, opacity = g.at(time_s)
-            columns = splat_columns(g.arrays() | {"position": position, "opacity": opacity})
+            state = {"position": position, "opacity": opacity}
+            if color_at is not None:
+                state["color"] = color_at(time_s)[seen]
+            columns = splat_columns(g.arrays() | state)
             write(
                 whole / f"frame{number:05d}.ply",
                 columns,

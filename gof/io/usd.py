@@ -12,7 +12,7 @@ import importlib
 import json
 from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
-from typing import IO, Any
+from typing import IO, Any, TypeAlias
 
 import numpy as np
 
@@ -22,6 +22,7 @@ from gof.core.gaussians import TransientGaussians
 from gof.core.harmonics import C0
 from gof.host import extras
 
+ColorAt: TypeAlias = Callable[[float], np.ndarray]  # second -> (N, 3) or (N, K, 3), of all Gaussians
 SUFFIXES = (".usda", ".usdc")
 START, SOURCE, DATUM = "gof_start_s", "source", "gof_datum"  # in the file's customLayerData
 CLOSED_FORM = ("velocity", "t_mu", "t_sigma", "peak_opacity")  # primvars, and gas_velocity and v_sd where there are any
@@ -65,11 +66,20 @@ def library(purpose: str) -> Any:
 
 
 def save(
-    gaussians: TransientGaussians, path: Path, start_s: float, end_s: float, step_s: float, source: str = ""
+    gaussians: TransientGaussians,
+    path: Path,
+    start_s: float,
+    end_s: float,
+    step_s: float,
+    source: str = "",
+    color_at: ColorAt | None = None,
 ) -> tuple[np.ndarray, list[str]]:
     """Write .usda, or .usdc: frame k is the state at start_s + k step_s, Z up, metres, time codes are frames.
 
     Returns (N,) bool, which Gaussians some frame shows and the file holds; and what was written, in words.
+
+    Args:
+        color_at: gives the colours where they change: a sample a frame.
 
     Raises:
         DataFormatError: no or too many frames, or nothing is ever seen.   NonFiniteError: a value is beyond a float32.
@@ -89,7 +99,8 @@ def save(
         text = draft.with_suffix(".usda")
         try:
             with text.open("w", encoding="ascii", newline="\n") as out:
-                _write_text(out, gaussians[seen], times, step_s, source)
+                shown = None if color_at is None else lambda time_s: color_at(time_s)[seen]
+                _write_text(out, gaussians[seen], times, step_s, source, shown)
             if binary:
                 binary(text, draft)
         finally:
@@ -101,8 +112,10 @@ def save(
     ]
 
 
-def _write_text(out: IO[str], g: TransientGaussians, times: np.ndarray, step_s: float, source: str) -> None:
-    sh = (g.color[:, None] - 0.5) / C0 if g.color.ndim == 2 else g.color
+def _write_text(
+    out: IO[str], g: TransientGaussians, times: np.ndarray, step_s: float, source: str, color_at: ColorAt | None
+) -> None:
+    sh = _harmonics(g.color)
     always = ~(g.dynamic & np.isfinite(g.t_sigma))
     datum = f"\n        double[] {DATUM} = {g.datum.numbers().tolist()}" if g.datum else ""
     ends = sorted({0, len(times) - 1})
@@ -120,7 +133,8 @@ def _write_text(out: IO[str], g: TransientGaussians, times: np.ndarray, step_s: 
     _write(out, "float3[] extent", ((k, _box(g, time_s)) for k, time_s in enumerate(times)))
     _write(out, "float3[] scales", g.scale)
     _write(out, "quatf[] orientations", g.rotation)  # in text the real part comes first, as here
-    _write(out, "float3[] radiance:sphericalHarmonicsCoefficients", sh.reshape(-1, 3))
+    frames = color_at and ((k, _harmonics(color_at(t)).reshape(-1, 3)) for k, t in enumerate(times))
+    _write(out, "float3[] radiance:sphericalHarmonicsCoefficients", frames or sh.reshape(-1, 3))
     _write(out, "vector3f[] primvars:velocity", np.where(g.dynamic[:, None], g.velocity, 0))
     if g.gas_velocity is not None:
         _write(out, "vector3f[] primvars:gas_velocity", g.moving_gas)
@@ -130,6 +144,10 @@ def _write_text(out: IO[str], g: TransientGaussians, times: np.ndarray, step_s: 
     if np.isfinite(g.velocity_sd).any():
         _write(out, "float[] primvars:v_sd", np.where(np.isinf(g.velocity_sd), -1, g.velocity_sd))  # -1: unknown
     out.write("}\n")
+
+
+def _harmonics(color: np.ndarray) -> np.ndarray:
+    return (color[:, None] - 0.5) / C0 if color.ndim == 2 else color
 
 
 def _opacity(g: TransientGaussians, time_s: float) -> np.ndarray:

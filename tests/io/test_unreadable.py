@@ -18,7 +18,10 @@ def test_options_that_would_be_ignored_are_an_error(tmp_path, gaussians, option)
     gaussians.save(tmp_path / "a.npz")
     given = {"world": tmp_path / "nothing", "code_date": "2024-01-01", "time_unit_s": 2.0, "time_zero_s": 1.0}
     options = ImportOptions(**{option: given.get(option, "gsplat")})
-    with pytest.raises(DataFormatError, match="--" + option.removesuffix("_s").replace("_", "-")):
+    flag = {"code_date": '"code_date" of RESULT.gof.json'}.get(
+        option, "--" + option.removesuffix("_s").replace("_", "-")
+    )
+    with pytest.raises(DataFormatError, match=flag):
         read_result(tmp_path / "a.npz", options)
     path, _ = lookalikes.authors(tmp_path / "model")
     if not option.startswith("time"):
@@ -29,7 +32,7 @@ def test_options_that_would_be_ignored_are_an_error(tmp_path, gaussians, option)
             ImportOptions(time_unit_s=wrong)
     with pytest.raises(GofError, match="--time-zero"):
         ImportOptions(time_zero_s=np.nan)
-    with pytest.raises(GofError, match="--code-date"):
+    with pytest.raises(GofError, match="code_date 'yesterday'"):
         ImportOptions(code_date="yesterday")
 
 

@@ -49,7 +49,7 @@ def test_yang_before_and_since_september_2024(tmp_path):
         got = read_result(tmp_path / "chkpnt30000.pth", ImportOptions(code_date=date))
         np.testing.assert_allclose(got.gaussians.velocity, S[:, :3, 3] / S[:, 3, 3, None], rtol=1e-4, atol=1e-5)
         np.testing.assert_allclose(got.gaussians.t_sigma, np.sqrt(S[:, 3, 3]), rtol=1e-5)
-        assert any("--code-date" in note for note in got.notes) == (date is None)
+        assert any("code_date" in note for note in got.notes) == (date is None)
 
 
 def test_yang_with_a_wider_window(tmp_path):
@@ -60,7 +60,7 @@ def test_yang_with_a_wider_window(tmp_path):
     got = read_result(tmp_path)  # the folder's best, where it has no other
     np.testing.assert_allclose(got.gaussians.t_sigma, np.sqrt(S[:, 3, 3] + 0.02), rtol=1e-5)
     np.testing.assert_allclose(got.gaussians.velocity, S[:, :3, 3] / S[:, 3, 3, None], rtol=1e-4, atol=1e-5)
-    assert not any("--code-date" in note for note in got.notes)
+    assert not any("code_date" in note for note in got.notes)
     for text in ("Namespace(prefilter_var=-1.0)", "Namespace(a=-'b')", "import os", "Namespace(" * 9999, "\0", "f(x"):
         (tmp_path / "cfg_args").write_text(text)
         np.testing.assert_allclose(read_result(tmp_path).gaussians.t_sigma, np.sqrt(S[:, 3, 3]), rtol=1e-5)

@@ -26,7 +26,7 @@ FLAGS = {
     "time_zero_s": "--time-zero",
     "world": "--world",
     "world_by": "--world-by",
-    "code_date": "--code-date",
+    "code_date": '"code_date" of RESULT.gof.json',
 }
 
 
@@ -66,7 +66,7 @@ class ImportOptions:
             try:
                 datetime.date.fromisoformat(self.code_date)
             except ValueError as e:
-                raise GofError(f"--code-date {self.code_date}: write a date as 2024-09-15") from e
+                raise GofError(f"code_date '{self.code_date}': write a date as 2024-09-15") from e
 
     def given(self) -> list[str]:
         """Return the fields of FLAGS that differ from their defaults."""

@@ -106,7 +106,7 @@ def _is_flipped(settings: dict[str, object], options: ImportOptions) -> tuple[bo
         return True, f"its 4D rotation read as of code since {FLIPPED_SINCE}, by its cfg_args"
     return True, (
         f"its 4D rotation taken as of code since {FLIPPED_SINCE}; if the code that trained is older, every velocity "
-        "here is wrong: write it down with gof convert RESULT --code-date"
+        'here is wrong: its date belongs into RESULT.gof.json, as "code_date" (docs/importers.md)'
     )
 
 
