@@ -11,7 +11,10 @@ import sys
 from importlib.util import find_spec
 from pathlib import Path
 
+import numpy as np
+
 from gof.commands.cli import main
+from gof.core.ply import splat_columns, write
 from gof.sample import unpack_sample
 
 ROOT = Path(__file__).parents[1]
@@ -37,6 +40,9 @@ def lay_out(folder: Path) -> Path:
     (folder / "out/demo").mkdir()
     (folder / "out/demo/dataset").symlink_to(Path("../../data/fire"))
     (folder / "out/demo/reconstruct").symlink_to(Path("../fire"))
+    wall = np.stack(np.meshgrid(np.linspace(-1, 1, 8), [0.8], np.linspace(0, 2, 8), indexing="ij"), -1).reshape(-1, 3)
+    shape = {"scale": np.full((64, 3), 0.1), "rotation": np.tile([1.0, 0, 0, 0], (64, 1)), "opacity": np.full(64, 0.9)}
+    write(folder / "room.ply", splat_columns({"position": wall, "color": np.full((64, 3), 0.4), **shape}), [])
     for film in (folder / "sample/clip").iterdir():
         shutil.copyfile(film, folder / film.name)
     return folder

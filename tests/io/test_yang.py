@@ -1,5 +1,6 @@
 """4DGS of Yang et al. against the density in space and time that its checkpoint means."""
 
+import json
 from dataclasses import replace
 
 import numpy as np
@@ -8,6 +9,7 @@ from scipy.spatial.transform import Rotation
 
 torch = pytest.importorskip("torch")
 
+from gof.commands.cli import main  # noqa: E402
 from gof.core.errors import DataFormatError  # noqa: E402
 from gof.io.importers import ImportOptions, read_result  # noqa: E402
 from tests.io import lookalikes  # noqa: E402
@@ -50,6 +52,23 @@ def test_yang_before_and_since_september_2024(tmp_path):
         np.testing.assert_allclose(got.gaussians.velocity, S[:, :3, 3] / S[:, 3, 3, None], rtol=1e-4, atol=1e-5)
         np.testing.assert_allclose(got.gaussians.t_sigma, np.sqrt(S[:, 3, 3]), rtol=1e-5)
         assert any("code_date" in note for note in got.notes) == (date is None)
+
+
+def test_the_date_of_its_code_stands_beside_the_checkpoint(tmp_path, capsys):
+    """It has no option: written by hand, kept where `gof convert` writes what else is known; the old option says so."""
+    raw = lookalikes.yang(tmp_path / "chkpnt30000.pth")
+    said = tmp_path / "chkpnt30000.pth.gof.json"
+    said.write_text('{"schema": "gof-import", "version": 1, "code_date": "2024-09-14", "flame_only": true}')
+    result = str(tmp_path / "chkpnt30000.pth")
+    assert main(["convert", result, "--time-unit", "2"]) == 0
+    about = json.loads(said.read_text())
+    assert about["code_date"] == "2024-09-14" and about["time_unit_s"] == 2 and not about["flame_only"]
+    S = yang_covariance(raw, False)
+    got = read_result(result).gaussians
+    np.testing.assert_allclose(got.velocity, S[:, :3, 3] / S[:, 3, 3, None] / 2, rtol=1e-4, atol=1e-5)
+    capsys.readouterr()
+    assert main(["convert", result, "--code-date", "2024-09-14"]) == 1
+    assert '"code_date": "2024-09-15"}' in " ".join(capsys.readouterr().err.split())
 
 
 def test_yang_with_a_wider_window(tmp_path):
