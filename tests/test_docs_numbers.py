@@ -99,6 +99,7 @@ NOT_AT_TOY_SIZE = {
     "four_ways": "bakes and renders the built-in scenes by Blender",
     "gas_from_below": "bakes two fires by Blender",
     "generated_board": "renders a board by Blender",
+    "into_room": "needs a fire that lights its room; tests/io/test_into_room.py has its measure in closed form",
     "ingest_memory": "needs ffmpeg; its size is the claim",
     "picture_costs": "renders two dozen pictures by Blender; their size is the claim",
     "looks_sheet": "bakes and renders every scene three times by Blender",
