@@ -24,7 +24,7 @@ import numpy as np
 
 from gof.core.checked_json import require
 from gof.core.colour import linear_to_srgb, srgb_to_linear
-from gof.core.errors import DataFormatError, naming
+from gof.core.errors import DataFormatError, GofError, naming
 from gof.core.files import read_json
 from gof.core.gaussians import TransientGaussians
 from gof.core.harmonics import C0, plain_color
@@ -32,6 +32,7 @@ from gof.core.ply import Ply
 from gof.core.records import convert_json
 from gof.core.results import PROPERTIES
 from gof.core.shining import shining_at
+from gof.io.importers import require_kept
 
 SUFFIXES = (".ply", ".npz")  # of a room
 INSTANTS = 32  # of the clip, from which the mean light is taken
@@ -191,6 +192,7 @@ def put_into_room(flame: TransientGaussians, path: Path) -> LitRoom:
         path: of the room, or of the JSON that says where the flame stands in it (`Place`).
     Raises:
         DataFormatError: see `read_place` and `read_room`; or nothing of the flame moves.
+        GofError: it would stand where float32 numbers do not tell its sizes or lives apart.
     """
     place = read_place(path)
     room, left = read_room(Path(place.room)), int((~flame.dynamic).sum())
@@ -198,8 +200,8 @@ def put_into_room(flame: TransientGaussians, path: Path) -> LitRoom:
     if not len(flame):
         raise DataFormatError(f"{path}: the result to place there holds no moving Gaussian, so no flame")
     datum = flame.datum
-    flame = flame.transformed(place.matrix(_foot(flame)))
-    flame = replace(flame, t_mu=flame.t_mu + np.float64(place.start_s))
+    with naming(path):
+        flame = _moved(flame, place)
     room, flame = _alike(room, flame)
     x, y, z = place.at
     up = ", ".join(f"{number:g}" for number in place.up)
@@ -213,6 +215,17 @@ def put_into_room(flame: TransientGaussians, path: Path) -> LitRoom:
     if datum:
         notes.append(f"the result's times count from {datum.numbers()[3]:.12g} s; the file cannot say so")
     return LitRoom(room, flame, _size(flame), place.light, notes)
+
+
+def _moved(flame: TransientGaussians, place: Place) -> TransientGaussians:
+    remedy = "Choose at, scale and start_s that suit the room"
+    try:
+        moved = flame.transformed(place.matrix(_foot(flame)))
+        moved = replace(moved, t_mu=moved.t_mu + np.float64(place.start_s))
+    except GofError as e:
+        raise DataFormatError(f"the flame cannot stand there: {e}. {remedy}") from e
+    require_kept(moved, "the placed flame's", remedy)
+    return moved
 
 
 def _still(g: TransientGaussians) -> TransientGaussians:

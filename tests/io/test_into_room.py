@@ -313,6 +313,21 @@ def test_wrong_placements_name_file_and_key(tmp_path, text):
         put_into_room(flame(), tmp_path / "place.json")
 
 
+@pytest.mark.parametrize(
+    "keys, match",
+    [
+        ({"scale": 1e45}, "place.json: the flame cannot stand there"),
+        ({"scale": 1e-60}, "place.json: the flame cannot stand there"),
+        ({"at": [1e6, 0, 0]}, "place.json: the placed flame's world reaches 1e\\+06"),
+        ({"start_s": 1.7e9}, "place.json: the placed flame's clock reaches"),
+    ],
+)
+def test_places_that_float32_cannot_hold_are_refused(tmp_path, keys, match):
+    room(tmp_path / "room.ply", [[0, 0, 0]], [[0.5] * 3])
+    with pytest.raises(GofError, match=match):
+        put_into_room(flame(scale=[[0.01] * 3]), place(tmp_path, **keys))
+
+
 def test_what_is_no_room_is_refused(tmp_path):
     for name, match in (("absent.ply", "no such file"), ("room.obj", "--into takes the PLY of a room")):
         with pytest.raises(DataFormatError, match=match):

@@ -53,7 +53,7 @@ KNOWN = (
     "OpenUSD, and folders of 3DGS PLYs NAME00000.ply, NAME00001.ply, ..."
 )
 
-__all__ = ["METHODS", "ImportOptions", "Imported", "Source", "detect", "read_result"]
+__all__ = ["METHODS", "ImportOptions", "Imported", "Source", "detect", "read_result", "require_kept"]
 
 
 def detect(source: Source) -> str:
@@ -106,7 +106,7 @@ def read_result(path: str | Path, options: ImportOptions | None = None) -> Impor
             imported.notes.append(in_words(said, options))
         if name == imported.method == "gof" and (method := gof_files.converted_from(source)) in METHODS:
             imported = replace(imported, method=method)
-        _require_digits(imported.gaussians)
+        require_kept(imported.gaussians)
         return imported
     except GofError as e:
         raise e if str(source.path) in str(e) or "scale_bounds" in str(e) else type(e)(f"{source.path}: {e}") from e
@@ -121,16 +121,18 @@ def _refuse_unused(name: str, options: ImportOptions) -> None:
         )
 
 
-def _require_digits(gaussians: MovingGaussians) -> None:
+FAR = "Keep clock and world near zero, or name a datum (docs/formats.md); what was rounded off is lost"
+
+
+def require_kept(gaussians: MovingGaussians, whose: str = "the result's", remedy: str = FAR) -> None:
     """Raise GofError: times or places so far from zero that float32 has rounded lives or sizes away."""
     if not isinstance(gaussians, TransientGaussians) or not gaussians.dynamic.any():
         return
     moving = gaussians[gaussians.dynamic]
     lives = moving.t_sigma[np.isfinite(moving.t_sigma)]
-    remedy = "Keep clock and world near zero, or name a datum (docs/formats.md); what was rounded off is lost"
     if len(lives):
-        require_digits("the result's clock", moving.t_mu, float(np.median(lives)), remedy, most=ROUNDED)
-    require_digits("the result's world", moving.position, float(np.median(moving.scale)), remedy, most=ROUNDED)
+        require_digits(f"{whose} clock", moving.t_mu, float(np.median(lives)), remedy, most=ROUNDED)
+    require_digits(f"{whose} world", moving.position, float(np.median(moving.scale)), remedy, most=ROUNDED)
 
 
 def _newest_checkpoint(folder: Path) -> Path:
