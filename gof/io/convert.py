@@ -95,7 +95,7 @@ def _written(
     if room is not None:
         gaussians, light = room.lit(room.instants(start_s, end_s) if time_s is None else [time_s])
         color_at = room.color_at if out.suffix in FRAMES else None
-        notes += [*room.notes, f"{light}; {_light_in(out)}"]
+        notes += [*room.notes, f"{light}; {_light_in(out)}" if room.light else light]
     if out.name.endswith(".ftgs.ply"):
         return notes + _save_ftgs(gaussians, out, start_s, end_s, frame_time_s)
     if out.suffix in MOVING:

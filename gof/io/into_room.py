@@ -10,8 +10,11 @@ then shows
 with L to linear light and S back to display values. a E is what a surface of albedo a sends back that faces the lamp,
 and a itself what it shows without: the room's own light counts as 1, and colours as far as they lie in [0, 1]. r0 is
 the flame's own size, the root of the mean square distance of its light from c(t), so that nothing near it is lit
-without bound. P grows with the square of the scale, as r^2 does, so units do not matter. Colours that change with the
-direction keep that part as it is. There are no shadows, and a surface that looks away from the flame is lit alike.
+without bound. Colours that change with the direction keep that part as it is. There are no shadows, and a surface that
+looks away from the flame is lit alike.
+
+All is written in metres with Z up, as every file of ours, counted from the room's origin: a room with another unit or
+another up is brought there, so velocities stay m/s and formats that state their axes and units say the truth.
 """
 
 from __future__ import annotations
@@ -69,19 +72,24 @@ class Place:
         require(self.light >= 0, "light", "0 or more", self.light)
         require(np.linalg.norm(self.up) > 1e-9, "up", "a direction, not all zeros", self.up)
 
-    def matrix(self, foot: np.ndarray) -> np.ndarray:
-        """Return the similarity (4, 4) from the flame's world, Z up, to the room; `foot` (3,) goes to `at`."""
-        a = np.deg2rad(self.turn_deg)
-        turn = np.array([[np.cos(a), -np.sin(a), 0], [np.sin(a), np.cos(a), 0], [0, 0, 1]])
+    def of_room(self) -> np.ndarray:
+        """Return the similarity (4, 4) from the room to metres with Z up; the origin stays."""
         found = np.eye(4)
-        found[:3, :3] = self.scale * _upright(np.array(self.up)) @ turn
-        found[:3, 3] = self.at - found[:3, :3] @ foot
+        found[:3, :3] = _upright(np.array(self.up)).T / self.scale
+        return found
+
+    def of_flame(self, foot: np.ndarray) -> np.ndarray:
+        """Return the motion (4, 4) of the flame to there; `foot` (3,) goes to `at`."""
+        a = np.deg2rad(self.turn_deg)
+        found = np.eye(4)
+        found[:2, :2] = [[np.cos(a), -np.sin(a)], [np.sin(a), np.cos(a)]]
+        found[:3, 3] = self.of_room()[:3, :3] @ self.at - found[:3, :3] @ foot
         return found
 
 
 @dataclass(frozen=True)
 class LitRoom:
-    """A flame in a room, both in the room's units.
+    """A flame in a room, both in metres with Z up.
 
     Attributes:
         room: still Gaussians.   flame: moving ones, with as many harmonics.
@@ -201,7 +209,7 @@ def put_into_room(flame: TransientGaussians, path: Path) -> LitRoom:
         raise DataFormatError(f"{path}: the result to place there holds no moving Gaussian, so no flame")
     datum = flame.datum
     with naming(path):
-        flame = _moved(flame, place)
+        room, flame = _moved(room, flame, place)
     room, flame = _alike(room, flame)
     x, y, z = place.at
     up = ", ".join(f"{number:g}" for number in place.up)
@@ -210,6 +218,8 @@ def put_into_room(flame: TransientGaussians, path: Path) -> LitRoom:
         f"{place.scale:g} there; turned by {place.turn_deg:g} degrees; its clock begins at {place.start_s:g} s; light "
         f"{place.light:g}" + ("" if path.suffix.lower() == ".json" else "; JSON given to --into says otherwise")
     ]
+    if (place.of_room() != np.eye(4)).any():
+        notes.append("the room is brought to metres with Z up, its origin where it was; velocities are m/s")
     if left:
         notes.append(f"{left:,} still Gaussians of the result are left out: the room takes their place")
     if datum:
@@ -217,15 +227,19 @@ def put_into_room(flame: TransientGaussians, path: Path) -> LitRoom:
     return LitRoom(room, flame, _size(flame), place.light, notes)
 
 
-def _moved(flame: TransientGaussians, place: Place) -> TransientGaussians:
+def _moved(
+    room: TransientGaussians, flame: TransientGaussians, place: Place
+) -> tuple[TransientGaussians, TransientGaussians]:
     remedy = "Choose at, scale and start_s that suit the room"
     try:
-        moved = flame.transformed(place.matrix(_foot(flame)))
-        moved = replace(moved, t_mu=moved.t_mu + np.float64(place.start_s))
+        if (place.of_room() != np.eye(4)).any():
+            room = room.transformed(place.of_room())
+        flame = flame.transformed(place.of_flame(_foot(flame)))
+        flame = replace(flame, t_mu=flame.t_mu + np.float64(place.start_s))
     except GofError as e:
         raise DataFormatError(f"the flame cannot stand there: {e}. {remedy}") from e
-    require_kept(moved, "the placed flame's", remedy)
-    return moved
+    require_kept(flame, "the placed flame's", remedy)
+    return room, flame
 
 
 def _still(g: TransientGaussians) -> TransientGaussians:

@@ -95,8 +95,9 @@ def test_a_splat_at_a_known_distance(tmp_path, scale):
         np.testing.assert_allclose(lit.color[n], expected, atol=2e-6)
         changed += max(np.subtract(expected, colours[n])) >= 1 / 255
     assert lit.color[1, 0] > colours[1][0] + 0.1, "the light is seen at all"
-    np.testing.assert_allclose(lit.position, [*places, [0, 0, 0]], atol=1e-6)
-    np.testing.assert_allclose(standing.size, math.sqrt(3) * WIDTH * scale, rtol=1e-6)
+    np.testing.assert_allclose(lit.position, np.array([*places, [0, 0, 0]]) / scale, atol=1e-6)
+    np.testing.assert_allclose(lit.scale, [[0.01 / scale] * 3] * 3 + [[WIDTH] * 3], rtol=1e-5)
+    np.testing.assert_allclose(standing.size, math.sqrt(3) * WIDTH, rtol=1e-6)
     assert f"changes {changed} of the room's 3 splats" in note
 
 
@@ -117,25 +118,28 @@ def test_the_light_is_what_a_camera_sees_of_the_flame(tmp_path):
 
 
 def test_turn_scale_and_up(tmp_path):
-    """By hand: a quarter turn takes +x to +y; Y down takes up to -y, and what was +y to +z."""
-    room(tmp_path / "room.ply", [[0, 0, 0]], [[0.5] * 3])
+    """By hand: a quarter turn takes +x to +y; a room with Y down is laid upright, in metres, with its origin kept."""
+    room(tmp_path / "room.ply", [[1, 2, 3]], [[0.5] * 3])
     g = flame(velocity=[[1.0, 0, 2.0]], gas_velocity=[[0, 3.0, 0]], velocity_sd=[0.5], scale=[[0.1, 0.2, 0.3]])
+    straight, turned = ([1, 0, 2], [0, 3, 0]), ([0, 1, 2], [-3, 0, 0])
     cases = [
-        ({}, [1, 0, 2], [0, 3, 0]),
-        ({"turn_deg": 90}, [0, 1, 2], [-3, 0, 0]),
-        ({"up": [0, -1, 0]}, [1, -2, 0], [0, 0, 3]),
-        ({"up": [0, -5, 0], "turn_deg": 90}, [0, -2, 1], [-3, 0, 0]),
-        ({"up": [0, 0, -1]}, [1, 0, -2], [0, -3, 0]),
-        ({"up": [1, 0, 0]}, [2, 0, -1], [0, 3, 0]),
+        ({}, straight, [1, 2, 3], [7, 8, 9]),
+        ({"turn_deg": 90}, turned, [1, 2, 3], [7, 8, 9]),
+        ({"up": [0, -1, 0]}, straight, [1, 3, -2], [7, 9, -8]),
+        ({"up": [0, -5, 0], "turn_deg": 90}, turned, [1, 3, -2], [7, 9, -8]),
+        ({"up": [0, 0, -1]}, straight, [1, -2, -3], [7, -8, -9]),
+        ({"up": [1, 0, 0]}, straight, [-3, 2, 1], [-9, 8, 7]),
     ]
-    for keys, light, gas in cases:
-        standing = put_into_room(g, place(tmp_path, scale=4.0, at=[7, 8, 9], start_s=1.5, **keys)).flame
-        np.testing.assert_allclose(standing.velocity, [np.multiply(4, light)], atol=1e-5, err_msg=str(keys))
-        np.testing.assert_allclose(standing.gas_velocity, [np.multiply(4, gas)], atol=1e-5)
-        np.testing.assert_allclose(standing.at(MU + 1.5)[0], [[7, 8, 9]], atol=1e-5)
-        np.testing.assert_allclose(standing.velocity_sd, 4 * 0.5, rtol=1e-6)
-        np.testing.assert_allclose(standing.scale, [[0.4, 0.8, 1.2]], rtol=1e-5)
-        np.testing.assert_allclose(standing.t_mu, MU + 1.5, rtol=1e-6)
+    for keys, (light, gas), wall, foot in cases:
+        standing = put_into_room(g, place(tmp_path, scale=4.0, at=[7, 8, 9], start_s=1.5, **keys))
+        np.testing.assert_allclose(standing.room.position, [np.divide(wall, 4)], atol=1e-6, err_msg=str(keys))
+        placed = standing.flame
+        np.testing.assert_allclose(placed.velocity, [light], atol=1e-6, err_msg=str(keys))
+        np.testing.assert_allclose(placed.gas_velocity, [gas], atol=1e-6)
+        np.testing.assert_allclose(placed.at(MU + 1.5)[0], [np.divide(foot, 4)], atol=1e-5)
+        np.testing.assert_allclose(placed.velocity_sd, 0.5, rtol=1e-6)
+        np.testing.assert_allclose(placed.scale, [[0.1, 0.2, 0.3]], rtol=1e-5)
+        np.testing.assert_allclose(placed.t_mu, MU + 1.5, rtol=1e-6)
 
 
 def test_a_column_stands_on_its_foot_and_not_on_a_stray_one(tmp_path):
@@ -179,7 +183,8 @@ def test_units_do_not_matter(tmp_path):
     other = put_into_room(g, place(tmp_path, **keys)).lit([0.4])[0]
     assert np.abs(one.color[:50] - colours).max() > 0.05
     np.testing.assert_allclose(other.color, one.color, atol=1e-5)
-    np.testing.assert_allclose(other.position, 3 * one.position @ turn.T + [5, 6, 7], atol=1e-4)
+    quarter = np.array([[0, -1, 0], [1, 0, 0], [0, 0, 1]])  # laid upright, (5, 6, 7) / 3 is (5, 7, -6) / 3
+    np.testing.assert_allclose(other.position, one.position @ quarter.T + np.array([5, 7, -6]) / 3, atol=1e-5)
 
 
 @pytest.mark.parametrize("name", ["lit.npz", "lit.ply"])
@@ -316,7 +321,7 @@ def test_wrong_placements_name_file_and_key(tmp_path, text):
 @pytest.mark.parametrize(
     "keys, match",
     [
-        ({"scale": 1e45}, "place.json: the flame cannot stand there"),
+        ({"scale": 1e80}, "place.json: the flame cannot stand there"),
         ({"scale": 1e-60}, "place.json: the flame cannot stand there"),
         ({"at": [1e6, 0, 0]}, "place.json: the placed flame's world reaches 1e\\+06"),
         ({"start_s": 1.7e9}, "place.json: the placed flame's clock reaches"),
