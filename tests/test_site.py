@@ -37,6 +37,12 @@ def test_the_first_use_of_a_term_leads_to_the_glossary_and_no_other_place_does()
         ("DVE", "term-dve"),
     ]
     assert "# A plate\n\n`plate`, [plate](x.md)\n\n| plate | a |" in linked
+    linked = with_terms("Trivial baselines, trivial baselines, a baseline.\n", "docs/x.md")
+    assert re.findall(r"\[([^]]+)\]\(conventions\.md#([\w-]+) ", linked) == [
+        ("Trivial baselines", "term-trivial-baseline"),
+        ("baseline", "term-baseline"),
+    ]
+    assert ", trivial baselines, a [" in linked, "a shorter term inside a longer one is not linked"
     assert with_terms("A plate.", "benchmark/fires/README.md") == "A plate."
 
 

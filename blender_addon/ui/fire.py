@@ -32,7 +32,7 @@ class GOF_PG_cameras(bpy.types.PropertyGroup):
         soft_max=8,
     )
     around_frames: IntProperty(
-        name="Frames All Around",
+        name="All Around",
         description="Frames that nine more cameras see from every side and from above, to score unfilmed views",
         default=0,
         min=0,
