@@ -32,7 +32,7 @@ ADD_FIRE, ADD_CAMERAS, NEXT_VIEW, BENCHMARK_BELOW = (1205, 419), (1205, 802), (1
 BAKE_AND_RENDER, PANEL_END = (1205, 389), 640  # the button stands as far down as the plan is long
 THINGS = "len(bpy.context.scene.objects)"
 DESELECT = "bpy.ops.object.select_all(action='DESELECT')"  # the active object stays that of the panel
-SIDEBAR = "222x440+1098+60"
+SIDEBAR = "222x548+1098+60"
 QUESTION = "400x180+310+690"
 IMPORT = (1205, 183)  # in the third panel, when the first two are closed
 EXPORT_VDB, EXPORT_POINTS = (1204, 559), (1204, 580)  # likewise, with a reconstruction, in Solid view

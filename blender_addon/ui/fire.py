@@ -144,7 +144,7 @@ class GOF_PG_fire(bpy.types.PropertyGroup):
             (
                 "reaction",
                 "Reaction",
-                "Every metre shines the same, nothing is absorbed: as before version 2 of the spec",
+                "All gas shines equally and absorbs nothing, as in version 1 of the spec",
             ),
         ],
     )

@@ -117,8 +117,8 @@ def over_runs(runs: Sequence[Sequence[float]], eddy_frames: float) -> Estimate:
     """Return mean over the frames of one clip and over the runs (seeds) of a method, each (T,) values of the same
     frames.
 
-    Runs share the clip: its frames' scatter is that of the runs' mean. What the seed adds is the runs' own spread over
-    the root of their number; a single run's is not known, and left out.
+    Runs share the clip: its frames' scatter is that of the runs' mean. The seed adds the runs' spread over
+    the root of their number; for a single run it is not known, and left out.
     """
     table = np.asarray(runs, np.float64)
     frames = over_frames(table.mean(0), eddy_frames)

@@ -11,7 +11,7 @@ flame to flame. Two questions are answered apart:
 Both are fitted to simulated flames of two solvers (`benchmark/training/flow_prior.py`; none of them is a scene or a
 test fire of the benchmark). A network that answers both at once learns its few flames' paces by heart.
 
-What the network gives are the coefficients of five vectors that turn with the flame and its axis, so that the result
+The network gives the coefficients of five vectors that turn with the flame and its axis, so that the result
 is the same for any heading, and without knowing which way is up. Gravity and metres enter through the pace alone; with
 `metres=False` the result is the same in any unit of length or time.
 """
