@@ -35,7 +35,7 @@ DESELECT = "bpy.ops.object.select_all(action='DESELECT')"  # the active object s
 SIDEBAR = "222x548+1098+60"
 QUESTION = "400x180+310+690"
 IMPORT = (1205, 183)  # in the third panel, when the first two are closed
-EXPORT_VDB, EXPORT_POINTS = (1204, 559), (1204, 580)  # likewise, with a reconstruction, in Solid view
+EXPORT_VDB, EXPORT_POINTS = (1204, 605), (1204, 626)  # likewise, with a reconstruction, in Solid view
 DIALOG_FOLDER, DIALOG_FIRST_FILE, DIALOG_IMPORT = (720, 48), (500, 105), (1527, 1057)
 FIRST_HEADER, HEADER_STEP = (1152, 97), 28  # of the panels when all are closed
 
