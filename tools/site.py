@@ -28,7 +28,7 @@ TO_NOTEBOOK = re.compile(r"\[([^][]+)\]\((?:\.\./)*notebook/[^)\s]+\)")
 REFERENCE = "---\nsearch: {boost: 4}\n---\n"  # found before pages that only mention a field or an option
 GLOSSARY = "docs/conventions.md"
 TERM = re.compile(r"^\| (?!term )([^|`]+?) \| ([^|]+?) \|$", re.MULTILINE)
-EVERYDAY = {"around", "axis", "board", "dev, test", "domain", "eval", "layout", "pace", "seeds", "skill"}  # also words
+EVERYDAY = {"around", "axis", "dev, test", "eval", "seeds", "skill"}  # also words
 # Parts of a page where no link may stand: code, headings, links and pictures, comments, heads of tables.
 FIXED = re.compile(
     r"^(```|~~~).*?^\1|^ {4}[^\n]*|^#[^\n]*|^\|[^\n]*\|\n(?=\|[-| :]+\|$)|`[^`]*`|!?\[[^]]*\]\([^)]*\)"

@@ -148,8 +148,8 @@ def over_scenes(scenes: Sequence[Estimate]) -> Estimate:
 
 
 def ranks(means: Sequence[float], p_values: np.ndarray, better: int) -> list[tuple[int, int]]:
-    """Return the best and the worst place that a method may have: behind all that are better for certain, before all
-    that are worse for certain. Methods that do not differ significantly share places.
+    """Return each method's rank as an interval of places: it excludes only methods that are significantly better or
+    worse. Methods that do not differ significantly share places.
 
     Args:
         means: of each method.
