@@ -39,6 +39,7 @@ def test_the_first_use_of_a_term_leads_to_the_glossary_and_no_other_place_does()
         ("DVE", "term-dve"),
     ]
     assert "# A plate\n\n`plate`, [plate](x.md)\n\n| plate | a |" in linked
+    assert "[" not in with_terms("In **Benchmark** leave *Background* at *This Scene*.\n", "docs/x.md"), "labels"
     linked = with_terms("Trivial baselines, trivial baselines, a baseline.\n", "docs/x.md")
     assert re.findall(r"\[([^]]+)\]\(conventions\.md#([\w-]+) ", linked) == [
         ("Trivial baselines", "term-trivial-baseline"),

@@ -29,10 +29,10 @@ REFERENCE = "---\nsearch: {boost: 4}\n---\n"  # found before pages that only men
 GLOSSARY = "docs/conventions.md"
 TERM = re.compile(r"^\| (?!term )([^|`]+?) \| ([^|]+?) \|$", re.MULTILINE)
 EVERYDAY = {"around", "axis", "dev, test", "eval", "seeds", "skill"}  # also words
-# Parts of a page where no link may stand: code, headings, links and pictures, comments, heads of tables.
+# Parts of a page where no link may stand: code, headings, links and pictures, comments, heads of tables, labels.
 FIXED = re.compile(
     r"^(```|~~~).*?^\1|^ {4}[^\n]*|^#[^\n]*|^\|[^\n]*\|\n(?=\|[-| :]+\|$)|`[^`]*`|!?\[[^]]*\]\([^)]*\)"
-    r"|<[^>]*>|\{[^}]*\}|\*[^*\n]+\*",
+    r"|<[^>]*>|\{[^}]*\}|\*\*[^*\n]+\*\*|\*[^*\n]+\*",
     re.MULTILINE | re.DOTALL,
 )
 FOR_DEVELOPERS = ("architecture.md", "renderer_inside.md")
