@@ -155,3 +155,19 @@ def test_a_script_that_runs_writes_its_file_and_one_that_fails_says_why(tmp_path
     assert len(about["figures"]) == 15 and "here" in about["figures"]["24, 0"]
     assert evidence.run("interval_coverage", ["--no-such-option"], tmp_path / "none") != ""
     assert not (tmp_path / "none").exists()
+
+
+def test_a_commit_is_dirty_by_its_code_not_by_its_figures(tmp_path, monkeypatch):
+    def git(*words: str) -> str:
+        mine = ["-c", "user.name=a", "-c", "user.email=a@b"]
+        return subprocess.run(["git", *mine, *words], cwd=tmp_path, check=True, capture_output=True, text=True).stdout
+
+    for name in ("code.py", "evidence/rows.json"):
+        (tmp_path / name).parent.mkdir(exist_ok=True)
+        (tmp_path / name).write_text("1")
+    git("init"), git("add", "."), git("commit", "-m", "one")
+    monkeypatch.setattr(evidence, "ROOT", tmp_path)
+    (tmp_path / "evidence/rows.json").write_text("2")
+    assert evidence._commit() == git("rev-parse", "--short", "HEAD").strip()
+    (tmp_path / "code.py").write_text("2")
+    assert evidence._commit().endswith("-dirty")

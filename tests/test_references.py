@@ -1,12 +1,14 @@
 """The reference pages that the site makes from the code: every option, every field, each with a text."""
 
 import dataclasses
+import importlib
 import json
 import re
 from pathlib import Path
 
 import pytest
 
+import gof
 from gof.commands.cli import commands
 from gof.commands.completion import leaves
 from gof.commands.declared import config_of, options_of
@@ -127,3 +129,11 @@ def test_no_page_of_the_notebook_is_staged(tmp_path):
     assert not (tmp_path / "notebook").exists()
     left = [path for path in tmp_path.rglob("*.md") if "](../notebook" in path.read_text(encoding="utf-8")]
     assert left == []
+
+
+def test_the_python_page_has_every_name_of_the_front_door():
+    page = (ROOT / "docs/reference.md").read_text(encoding="utf-8")
+    shown = {place.rpartition(".")[2]: place for place in re.findall(r"^::: (\S+)$", page, re.MULTILINE)}
+    assert len(gof.__all__) > 10 and set(gof.__all__) - shown.keys() == set()
+    for name, place in shown.items():
+        assert callable(getattr(importlib.import_module(place.rpartition(".")[0]), name)), place

@@ -97,8 +97,16 @@ def texts(path: Path) -> list[str]:
 
 
 UNCLEAR = re.compile(
-    r"^\s*(?:What|Of) |\b[Nn]obody\b|\b(?:is|are|was|were) (?:said|told(?! apart| from))\b|\b[Dd]oubts?\b(?=.* )"
+    r"^\s*(?:What|Of) |[.!?:]\s+(?:What|Of) (?![^.!?]*\?)|\b(?:[Nn]obody|[Ww]hoever)\b|\b[Pp]rocessors?\b"
+    r"|\b(?:is|are|was|were|be|been|being) (?:not )?(?:said|told(?! apart| from)|asked)\b|\b[Dd]oubts?\b(?=.* )"
 )
+
+
+def test_what_is_unclear_is_found():
+    for text in ("What it holds.", "It is. Of two the first.", "as is told", "no picture was asked for", "no doubt is"):
+        assert UNCLEAR.search(text), text
+    for text in ("Is it. What is it?", "read. Offers", "they are told apart", "colour: doubt", "The output of it"):
+        assert not UNCLEAR.search(text), text
 
 
 @pytest.mark.parametrize("room", ["gof", "benchmark", "blender_addon"])
@@ -107,3 +115,13 @@ def test_docstrings_and_messages_speak_plainly(room):
     files = [path for path in (ROOT / room).rglob("*.py")]
     found = {f"{name_of(path)}: {text[:80]}" for path in files for text in texts(path) if UNCLEAR.search(text)}
     assert len(files) > 40 and found == set()
+
+
+LINKS = re.compile(r"\[[^]]*\]\([^)]*\)")  # titles of pages and parts, which may be questions
+
+
+def test_pages_speak_plainly():
+    pages = [*PAGES, *sorted((ROOT / "benchmark").rglob("README.md"))]
+    texts_of = {page: LINKS.sub("LINK", page.read_text(encoding="utf-8")) for page in pages}
+    found = [f"{name_of(page)}: {s}" for page, text in texts_of.items() for s in sentences(text) if UNCLEAR.search(s)]
+    assert len(pages) > 40 and found == []

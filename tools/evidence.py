@@ -95,7 +95,7 @@ def run(name: str, words: list[str], folder: Path = FOLDER) -> str:
         "schema": SCHEMA,
         "version": VERSION,
         "command": " ".join(command),
-        "commit": _git("describe", "--always", "--dirty"),
+        "commit": _commit(),
         "date": datetime.date.today().isoformat(),
         "cpu": cpu_name(),
         "seconds": round(time.monotonic() - began, 1),
@@ -116,6 +116,12 @@ def keep(name: str, tables: str, command: str, commit: str, folder: Path = FOLDE
         "seconds": None,
     }
     write_json(folder / f"{name}.json", about | {"figures": tables_in(tables), "printed": tables.splitlines()})
+
+
+def _commit() -> str:
+    """Return the commit of the code, with "-dirty" where a file beside the figures themselves differs from it."""
+    changed = _git("status", "--porcelain", "--untracked-files=no", "--", ".", f":!{FOLDER.name}")
+    return _git("describe", "--always") + ("-dirty" if changed else "")
 
 
 def _git(*words: str) -> str:

@@ -28,11 +28,11 @@ TO_NOTEBOOK = re.compile(r"\[([^][]+)\]\((?:\.\./)*notebook/[^)\s]+\)")
 REFERENCE = "---\nsearch: {boost: 4}\n---\n"  # found before pages that only mention a field or an option
 GLOSSARY = "docs/conventions.md"
 TERM = re.compile(r"^\| (?!term )([^|`]+?) \| ([^|]+?) \|$", re.MULTILINE)
-EVERYDAY = {"around", "axis", "board", "dev, test", "domain", "eval", "layout", "pace", "seeds", "skill"}  # also words
-# Parts of a page where no link may stand: code, headings, links and pictures, comments, heads of tables.
+EVERYDAY = {"around", "axis", "dev, test", "eval", "seeds", "skill"}  # also words
+# Parts of a page where no link may stand: code, headings, links and pictures, comments, heads of tables, labels.
 FIXED = re.compile(
     r"^(```|~~~).*?^\1|^ {4}[^\n]*|^#[^\n]*|^\|[^\n]*\|\n(?=\|[-| :]+\|$)|`[^`]*`|!?\[[^]]*\]\([^)]*\)"
-    r"|<[^>]*>|\{[^}]*\}|\*[^*\n]+\*",
+    r"|<[^>]*>|\{[^}]*\}|\*\*[^*\n]+\*\*|\*[^*\n]+\*",
     re.MULTILINE | re.DOTALL,
 )
 FOR_DEVELOPERS = ("architecture.md", "renderer_inside.md")
@@ -71,14 +71,16 @@ def with_terms(page: str, path: str) -> str:
     if not path.startswith("docs/") and path != "README.md":
         return page
     glossary = os.path.relpath(GLOSSARY, Path(path).parent)
+    longer: list[re.Pattern[str]] = []  # terms before this one: "trivial baseline" is no use of "baseline"
     for term, meaning in terms().items():
+        word = re.compile(rf"(?<![\w-]){re.escape(term)}s?(?![\w-])", 0 if term[:1].isupper() else re.IGNORECASE)
         if term not in EVERYDAY:
-            word = re.compile(rf"(?<![\w-]){re.escape(term)}s?(?![\w-])", 0 if term[:1].isupper() else re.IGNORECASE)
-            spans = [span.span() for span in FIXED.finditer(page)]
+            spans = [span.span() for taken in (FIXED, *longer) for span in taken.finditer(page)]
             uses = (use for use in word.finditer(page) if not any(a <= use.start() < b for a, b in spans))
             if use := next(uses, None):
                 link = f'[{use[0]}]({glossary}#{_slug(term)} "{meaning}"){{ .term }}'
                 page = page[: use.start()] + link + page[use.end() :]
+        longer.append(word)
     return page
 
 
@@ -90,7 +92,7 @@ def page_of_site(text: str) -> str:
     """Return a page with its generated parts, without links to the notebook; pictures further down load when seen."""
     text = TO_NOTEBOOK.sub(r"\1", text)
     text = ALONE.sub(lambda quote: f"Measured by {caption(quote[1])}.\n{{ .evidence }}", text)
-    text = re.sub(r"(?<=\d) ± (?=\d)", "\u00a0±\u00a0", text)
+    text = re.sub(r"(?<=[\d*]) ± (?=\d)", "\u00a0±\u00a0", text)
     for picture in list(PICTURE.finditer(text))[:0:-1]:
         text = f"{text[: picture.end()]}{{ loading=lazy }}{text[picture.end() :]}"
     return REFERENCE + references.filled(text) if references.MARK.search(text) else text

@@ -37,8 +37,8 @@ class AddConfig:
     Examples:
       gof benchmark add out/demo mine --dataset bench/preview/demo
 
-    A result of ours is a folder with result.npz; its frames, costs and plates come along. Of another method give the
-    file, say which frames it learned from, and give the pictures that its own renderer drew.
+    A result of ours is a folder with result.npz; its frames, costs and plates come along. For another method give the
+    file, the frames that it learned from, and the pictures that its own renderer drew.
     """
 
     result: tyro.conf.Positional[Annotated[Path, tyro.conf.arg(metavar="RESULT")]]

@@ -43,7 +43,7 @@ class ScoreConfig:
       gof benchmark score mine others bench/preview --out board
 
     Scores are computed from the results, whatever the submissions say, and kept in OUT/scores: the same result on the
-    same dataset is scored once. What `gof benchmark check` refuses is shown with its reason and not ranked.
+    same dataset is scored once. A method that `gof benchmark check` refuses is shown with the reason and not ranked.
     Development scenes are scored apart, with --scenes dev; no rank mixes the two.
     """
 

@@ -26,8 +26,8 @@ PARTS = {
 HELP = """\
 usage: gof study PART [OPTIONS]        gof study PART --help explains one study
 
-What accuracy costs in time: each study measures it on this machine and writes tables and charts to --out.
-A study that was stopped goes on where it was.
+Measure on this machine what accuracy costs in time. Each study writes tables and charts to --out.
+Start a stopped study again, and it continues.
 
 {parts}
 

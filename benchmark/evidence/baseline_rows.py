@@ -8,7 +8,7 @@ Every scene is seen in smaller pictures, every method is trained for the same nu
 authors give for a scene of this kind, schedules shortened in proportion; then ours: with the flow prior, without, and
 `--method paper` for as many steps, and once more for as many CPU seconds as the slowest of the others took. Each
 becomes a submission in OUT/submissions and is checked; all that are there are scored into OUT/board, and scene by scene
-into OUT/SCENE.md. Rows are made in turn, each on all scenes, the cheap ones first. What is finished is not done again,
+into OUT/SCENE.md. Rows are made in turn, each on all scenes, the cheap ones first. Finished work is not done again,
 so it may be stopped and started as one likes, or made in parts: others' rows are those whose checkout is given, ours
 those of `--ours`. THEIRS is a Python with the packages of docs/baselines.md.
 """

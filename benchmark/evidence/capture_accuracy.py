@@ -80,7 +80,7 @@ class CaptureAccuracy:
 
 
 def main(argv: list[str] | None = None) -> None:
-    """Print the tables that are asked for."""
+    """Print the chosen tables."""
     config = tyro.cli(CaptureAccuracy, prog="python -m gof_benchmark.evidence.capture_accuracy", args=argv)
     tables = {
         "synthetic": lambda: synthetic(config.frames, config.repeats),

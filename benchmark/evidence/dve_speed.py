@@ -70,7 +70,7 @@ def main(argv: list[str] | None = None) -> None:
 
 
 def compare(store: Path, count: int, n: int, with_scipy: bool) -> dict[str, Any]:
-    """Return costs of "gof", and of "scipy" where it is asked for, their ratios and how far their results differ."""
+    """Return costs of "gof", and of "scipy" where it is named, their ratios and how far their results differ."""
     gof = child.call(run_gof, str(store), count, n)
     mean = np.array(gof.pop("mean"))
     if not with_scipy:

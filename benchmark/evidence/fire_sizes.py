@@ -36,6 +36,7 @@ SIZES = {
 }
 """Burner, box, frames per second, and frames until the flame has developed."""
 FRAMES = 24
+SPEEDS = ("solver", "physical")
 HEIGHTS = (0.15, 0.3, 0.5, 0.7, 1.0, 1.3)  # of the flame's
 
 
@@ -101,8 +102,8 @@ def bake_inside(folder: Path) -> None:
     mantaflow.leave()
 
 
-def row(spec: SceneSpec, folder: Path) -> str:
-    """Return a line of the table."""
+def row(spec: SceneSpec, folder: Path) -> tuple[str, float]:
+    """Return a line of the table, and the speed of the gas in the flame, m/s."""
     velocity, flame, height = bake(spec, folder)
     diameter = 2 * spec.fire.radius
     speed = np.linalg.norm(velocity, axis=-1)
@@ -114,15 +115,16 @@ def row(spec: SceneSpec, folder: Path) -> str:
     at = np.array(HEIGHTS) * tall
     over = np.interp(at, height, axis) / measures.mccaffrey_speed(at, heat)
     cut = " (leaves the box)" if tall > 0.97 * height[-1] else ""
-    return (
+    line = (
         f"| {spec.name} | {diameter:g} | {tall:.3g}{cut} | {burning:.2f} | {speed.max((1, 2, 3)).mean():.2f} | "
         + ", ".join(f"{ratio:.2f}" for ratio in over)
         + " |"
     )
+    return line, float(burning)
 
 
 def main(argv: list[str] | None = None) -> None:
-    """Print the table."""
+    """Print a table of all bakes, and one of a line a size."""
     if argv is None and sys.argv[1:2] == ["--inside"]:
         bake_inside(Path(sys.argv[2]))
         return
@@ -131,10 +133,15 @@ def main(argv: list[str] | None = None) -> None:
         f"| fire | burner, m | flame, m | gas in the flame, m/s | fastest, m/s | axis / McCaffrey at {HEIGHTS} of it |"
     )
     print("|---|---|---|---|---|---|")
+    gas = {}
     for name in SIZES:
-        for speeds in ("solver", "physical"):
+        for speeds in SPEEDS:
             with tempfile.TemporaryDirectory() as folder:
-                print(row(sized(name, config.resolution, speeds), Path(folder)), flush=True)
+                line, gas[name, speeds] = row(sized(name, config.resolution, speeds), Path(folder))
+            print(line, flush=True)
+    print("\n| fire | burner, m | gas in the flame, m/s: `solver` | `physical` |\n|---|---|---|---|")
+    for name, (fire, *_) in SIZES.items():
+        print(f"| {name} | {2 * fire.radius:g} | {' | '.join(f'{gas[name, speeds]:.2f}' for speeds in SPEEDS)} |")
 
 
 if __name__ == "__main__":

@@ -1,6 +1,6 @@
 """How much pictures of our flames look like filmed ones: their colours, their texture, and their flicker.
 
-Of each fire, in the pixels where its flame is: a histogram of display colours; the power of the picture's changes over
+For each fire, in the pixels where its flame is: a histogram of display colours; the power of the picture's changes over
 cycles per flame height; the power of the whole flame's light over frequency. Printed are the distances to the filmed
 fires' mean, and what one filmed fire has to the mean of the others.
 """

@@ -3,7 +3,7 @@
     python -m gof_benchmark.evidence.motion_bounds DATASET...
 
 Fused fields before any optimisation, weighted by emission, against the truth: L2 and CosSim of all frames together, and
-the parts of L2^2. What is wrong with a flame's velocity is wrong in the mean of a layer over the clip ("layers"), in
+the parts of L2^2. A flame's velocity can be wrong in the mean of a layer over the clip ("layers"), in
 how that mean is spread within the layer ("standing"), or in how a frame differs from the clip's mean ("passing"): the
 squares of the three add up to L2^2. The last row says how much of the true velocity each part holds. Rows whose name
 begins with "true" know a part of the truth.

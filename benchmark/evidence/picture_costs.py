@@ -3,7 +3,7 @@
     python -m gof_benchmark.evidence.picture_costs --out out/picture_costs
 
 The demo's fire in the light of soot, one camera. Every picture is rendered in a Blender of its own, and its CPU
-seconds are those of that process between being asked and having written its files, which a busy machine hardly
+seconds are those of that process between its request and its written files, which a busy machine hardly
 changes; plates are not counted, they are made once per camera. Printed beside them, against a reference of many
 samples:
 
@@ -12,7 +12,7 @@ samples:
   its mean;
 - grain: mean absolute difference of that light from itself, blurred, over its mean.
 
-A smaller picture is enlarged for it. What is finished in --out is not made again.
+A smaller picture is enlarged for it. Finished pictures in --out are not made again.
 """
 
 from __future__ import annotations

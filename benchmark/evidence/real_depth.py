@@ -3,7 +3,7 @@
     python -m gof_benchmark.evidence.real_depth DATASET... --out out/real
 
 OUT is that of `real_clips`, with both methods' results. The maps are those of `gof depth`: stereo between the cameras
-at every held-out frame, completed along the picture's edges; the authors take a monocular network's. What is drawn:
+at every held-out frame, completed along the picture's edges; the authors take a monocular network's. The pictures show:
 
     still     the still scene of `--method paper`, without any flame: what the figure gives for nothing
     paper     the result of `--method paper`, flame and still scene

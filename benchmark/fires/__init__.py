@@ -82,6 +82,6 @@ def check_seal(folder: Path) -> None:
     wrong = sorted(name for name in sealed.keys() | found.keys() if sealed.get(name) != found.get(name))
     if wrong:
         raise DataFormatError(
-            f"{folder}: {', '.join(wrong)} is not as sealed in {SEAL}. What is scored on does not change: older scores "
+            f"{folder}: {', '.join(wrong)} is not as sealed in {SEAL}. A test fire must not change: older scores "
             "could not be compared any more. Take the file of the release; a new fire gets a new name"
         )

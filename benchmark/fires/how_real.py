@@ -48,7 +48,7 @@ class HowReal:
 
 @dataclass(frozen=True)
 class Laws:
-    """A simulated fire beside the laws; NaN where it cannot be said, and all but its heat in wind.
+    """A simulated fire beside the laws; NaN where it cannot be measured, and in wind everything but its heat.
 
     Args:
         heat_kw: of the burner that is looked at. heat_inferred: it follows from the flame's height, by Heskestad's law.

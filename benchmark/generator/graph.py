@@ -1,7 +1,7 @@
 """A dataset as a graph of tasks: bake -> pictures -> codec, ground truth -> description -> views.
 
 A task is a call into a Blender process (`gof_benchmark.generator.blender_process`) and leaves files; where it runs is
-`gof_benchmark.generator.workers`'. Pictures of a frame are asked for as soon as the solver has passed what their
+`gof_benchmark.generator.workers`'. Pictures of a frame begin as soon as the solver has passed what their
 shutter sees, so that rendering does not wait for the bake. Everything resumes from the files.
 """
 

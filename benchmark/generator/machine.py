@@ -78,7 +78,7 @@ class TinyRun:
 
     Attributes:
         resolution: cells along the longest side.   cells: of the whole grid.   steps: of the solver.
-        velocity_s: of exporting the ground truth of `FRAMES` frames; None when no picture was asked for.
+        velocity_s: of exporting the ground truth of `FRAMES` frames; None without pictures.
         pictures: (pixels, samples, seconds) each.
     """
 

@@ -125,7 +125,7 @@ def require_certificate(scheduler: str | None, tls: Path | None) -> None:
     if tls is None:
         if encrypted:
             raise GofError(f"no dask scheduler answers at {scheduler} without a certificate; give --tls FOLDER")
-        print(f"{scheduler}: without --tls, whoever reaches that port can run programs as you", file=sys.stderr)
+        print(f"{scheduler}: without --tls, anyone who reaches that port can run programs as you", file=sys.stderr)
         return
     if not encrypted:
         raise GofError(

@@ -1,7 +1,7 @@
 """The training bundle of the authors' code (`fire-bundle-v2`) in ``fire_bundle/``: their trainer runs on our scenes.
 
-What a method may not see is not in it: masks and flow of training frames come from training pictures, by our optical
-flow and the paper's fusion, never from the true velocity or the true masks. docs/formats.md has every field.
+Nothing that a method may not see is in it: masks and flow of training frames come from training pictures, by our
+optical flow and the paper's fusion, never from the true velocity or the true masks. docs/formats.md has every field.
 
 Their trainer holds out frames with ``frame % test_every == 0``. So the bundle begins at the dataset's first held-out
 frame, and its frame r is the dataset's frame ``first + r``: what they score is what is held out here.

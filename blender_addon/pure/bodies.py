@@ -1,7 +1,7 @@
 """Bodies of a user's scene in the domain of a fire that we simulate: which of them the gas does not feel.
 
-The solver knows obstacles alone. What else stands in the domain is drawn, and gas and flame pass through it: a spec may
-mean that, so it is a warning and never refused.
+The solver knows obstacles alone. Other things in the domain are drawn, and gas and flame pass through them: a spec may
+mean that, so it is a warning, never an error.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
 """A dataset in the making: the generator's stages one after another, each in a Blender process of its own.
 
 Nothing here waits: ``poll`` takes what the child has said since the last call, so that a user interface can go on.
-What a stopped job has finished stays, and the next job for the same folder goes on there.
+Finished work of a stopped job stays, and the next job for the same folder goes on there.
 """
 
 from __future__ import annotations

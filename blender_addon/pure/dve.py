@@ -1,7 +1,7 @@
 """DVE of a reconstruction against the true velocity of a dataset, with numpy only.
 
 The protocol is that of docs/scores.md, in its default form: three Gauss-Hermite nodes an axis, opacity at each time,
-moving Gaussians only, every stored frame of the clip. `gof evaluate` computes the same, and more besides; a test holds
+moving Gaussians only, every stored frame of the clip. `gof evaluate` computes these scores, and more; a test holds
 the two against each other.
 """
 

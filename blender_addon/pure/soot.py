@@ -20,7 +20,7 @@ Sources of the figures:
   Fire Dynamics). The tables of these two were not at hand: the figures are quoted from memory.
 - Soot absorbs as 1 / wavelength. The mean of that over Planck's radiation of T is 3.83 T / C2, with
   3.83 = Gamma(5) zeta(5) / (Gamma(4) zeta(4)), so that at 1500 K and 0.6 um soot absorbs C2 / (3.83 T wavelength) =
-  4.2 times as much as on the mean. Of the soot itself only this ratio is used, and no volume fraction. (Between
+  4.2 times as much as on the mean. Only this ratio is used, and no volume fraction of the soot. (Between
   Planck's mean and Rosseland's, 3.60, lies the usual 3.72 of Modest, Radiative Heat Transfer.)
 - A small laminar flame holds its soot in a thin sheet of several ppm (Santoro et al., Combustion and Flame 51, 1983),
   which a mean over a large turbulent flame is not: its optical thickness is taken as at least `LEAST_THICKNESS`. In

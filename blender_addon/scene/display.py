@@ -4,7 +4,7 @@ A reconstruction blends display values: a pixel that the cloud covers by the fra
 over the dark. Cycles blends light and applies the view transform f to the sum. Because f is steep in the dark and flat
 in the bright, f^-1(colour) of every Gaussian for itself would come out far too bright: thin places, and places whose
 Gaussians differ in colour, most of all. So each Gaussian emits f^-1(W c) / W with W and c of a pixel it is seen in:
-there the sum of the light is f^-1(W c), and the scene shows W c. Of several views the dimmest counts, because a
+there the sum of the light is f^-1(W c), and the scene shows W c. The dimmest of several views counts, because a
 Gaussian matters most where little else is in front of or behind it: at the border of the flame, not in its core. A few
 rounds of correction then scale every Gaussian's light by the mean of wanted over shown light of the pixels it is in,
 over all views and times.

@@ -3,8 +3,8 @@
     t = (frame - start frame) / frame rate * time scale,   x(t) = x0 + (t - t_mu) v,
     alpha(t) = opacity exp(-0.5 ((t - t_mu) / t_sigma)^2), seen while begin <= t < end where a cloud has these
 
-Nothing is stored per frame. What is drawn carries the attributes gs_alpha, gs_color and velocity (m/s on the scene's
-clock; Cycles takes motion blur from it, also for Gaussians that appear or vanish while the shutter is open).
+Nothing is stored per frame. The drawn geometry carries the attributes gs_alpha, gs_color and velocity (m/s on the
+scene's clock; Cycles takes motion blur from it, also for Gaussians that appear or vanish while the shutter is open).
 """
 
 from __future__ import annotations

@@ -21,7 +21,7 @@ from .fire_objects import FireObjects, find_flame
 
 QUANTITIES = {"flame": "flame_grid", "heat": "heat_grid", "density": "density_grid"}
 """Names of scalar grids and their attributes in Blender. flame is the reaction, 0 to 1; heat and density are in the
-solver's units. Of a flame that glows by its soot it is what a metre emits, mean over the colours and over the cell."""
+solver's units. For a flame that glows by its soot it is the light of a metre, mean over colours and cell."""
 
 
 class MantaflowSource:

@@ -1,6 +1,6 @@
 """A reconstruction as one animated object: mesh points with attributes, moved, faded and drawn by `gaussian_nodes`.
 
-What a Gaussian emits comes from `display.emission`. All settings are inputs of the object's modifier.
+The light of a Gaussian comes from `display.emission`. All settings are inputs of the object's modifier.
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
 """The file from which a cloud was imported. A .blend stores its name, and only folders below its own.
 
-Whoever gets the .blend learns nothing of the disk of its author, and what is found is that very file: one of the same
+Who gets the .blend learns nothing of the disk of its author, and what is found is that very file: one of the same
 name that holds something else is refused.
 """
 

@@ -18,7 +18,7 @@ from . import images
 def through_codec(spec: SceneSpec, layout: Layout, camera: str, settings: Settings) -> None:
     """Encode a camera's uncompressed pictures as ``video.mp4`` and write the decoded ones as its display pictures.
 
-    What exists already is kept. Raises RuntimeError if Blender writes no video.
+    Existing files are kept. Raises RuntimeError if Blender writes no video.
     """
     frames = range(spec.clip.frames)
     finished = [layout.frame(camera, frame).rgb for frame in frames]

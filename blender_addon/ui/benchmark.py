@@ -84,7 +84,7 @@ class GOF_PG_benchmark(bpy.types.PropertyGroup):
     )
     preset: EnumProperty(
         name="Preset",
-        description="How fine and how long, hence how dear",
+        description="How fine and how long, hence how much time it takes",
         items=[(name, name.capitalize(), PURPOSE[name]) for name in PRESETS],
         default="preview",
     )
@@ -160,7 +160,7 @@ def why_not() -> str | None:
 
 
 class GOF_OT_bake_render(JobOperator, bpy.types.Operator):
-    """Simulate the fire, render all cameras and write the dataset. What is finished is not made again"""
+    """Simulate the fire, render all cameras and write the dataset. Finished parts are not made again"""
 
     bl_idname = "gof.bake_render"
     bl_label = "Bake & Render"
@@ -220,7 +220,7 @@ class GOF_OT_stop_benchmark(bpy.types.Operator):
         return GOF_OT_bake_render.job is not None
 
     def invoke(self, context, event):
-        return context.window_manager.invoke_props_dialog(self, width=320)
+        return context.window_manager.invoke_props_dialog(self, width=350)
 
     def draw(self, context):
         job = GOF_OT_bake_render.job

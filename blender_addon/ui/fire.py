@@ -32,7 +32,7 @@ class GOF_PG_cameras(bpy.types.PropertyGroup):
         soft_max=8,
     )
     around_frames: IntProperty(
-        name="Frames All Around",
+        name="All Around",
         description="Frames that nine more cameras see from every side and from above, to score unfilmed views",
         default=0,
         min=0,
@@ -144,7 +144,7 @@ class GOF_PG_fire(bpy.types.PropertyGroup):
             (
                 "reaction",
                 "Reaction",
-                "Every metre shines the same, nothing is absorbed: as before version 2 of the spec",
+                "All gas shines equally and absorbs nothing, as in version 1 of the spec",
             ),
         ],
     )

@@ -1,7 +1,7 @@
 """The spec of a scene: what the Fire panel says, and where the user has put the fire's parts since.
 
 The places are read back from the objects: the empty, the burner, the domain's box, the cameras' poses and focal length.
-What else is edited on the objects, such as the flame's material, stays in the user's scene.
+Other edits, such as the flame's material, stay in the user's scene.
 """
 
 from __future__ import annotations
@@ -137,7 +137,7 @@ def _rig(planned: Rig, cameras: list[bpy.types.Object], poses: list[Matrix]) -> 
     lenses = {exact(camera.data.lens) for camera in cameras}
     if len(lenses) > 1:
         raise SpecError(
-            f"the cameras have different focal lengths ({sorted(lenses)} mm): a rig has one; give all the same"
+            f"the cameras have different focal lengths ({sorted(lenses)} mm): a rig has one; set all cameras to it"
         )
     planned = replace(planned, focal_mm=lenses.pop())
     difference = [

@@ -5,7 +5,7 @@
 Stages, in order; each resumes, what is finished is not made again:
 
     bake          scene.blend, and the fire of every step: simulated, or from grids
-    render        plates and frames; ``serve`` likewise, but only what it is asked for, and during the bake
+    render        plates and frames; ``serve`` likewise, but only those requested, and during the bake
     video         pictures through a codec, if the spec says so
     ground-truth  velocity, and what else the spec lists
     flow          optical flow, if the spec lists it

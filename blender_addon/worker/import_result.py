@@ -6,7 +6,7 @@ It also renders one preview frame. (The panel's operator of the same name adds a
         --preview preview.png --frame 5 --camera cam_0
 
 The scene of a generated dataset (background, cameras, colour management, clock) is built again from the spec in
-DATASET/dataset.json, without the simulated fire; the Gaussians take its place. Of a real capture the cameras are known,
+DATASET/dataset.json, without the simulated fire; the Gaussians take its place. The cameras of a real capture are known,
 and each one's picture without fire is put behind the Gaussians. The preview is the view that
 cameras/<camera>/rgb/<frame>.png shows.
 

@@ -1,7 +1,7 @@
 """Cameras without any board: their clocks by the sound of the films, else by the flames' light against each other.
 
 The first film's clock is the common one. A frame's time in its own film is the file's time stamp, which is true time
-where a camera films at the rate at which it plays; for slow motion the rate has to be said, and its sound is of no use.
+where a camera films at the rate at which it plays; for slow motion the rate has to be given, and its sound is useless.
 """
 
 from __future__ import annotations

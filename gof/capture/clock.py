@@ -66,8 +66,8 @@ def link(
 ) -> np.ndarray:
     """Return (T,) position of every frame on a steady clock of the given interval.
 
-    A repeated picture has the position of the one before; every other step is one more, or several after a drop. Of all
-    such sequences the cheapest is taken (Viterbi), where a frame costs up to one for missing its time, and a drop half
+    A repeated picture has the position of the one before; every other step is one more, or several after a drop. The
+    cheapest of all such sequences is taken (Viterbi), where a frame costs up to one for missing its time, a drop half
     of that: drops are told from wrong single times because all frames after a drop agree with it. At the clip's ends
     there are few to agree, and a drop costs more than a frame's wrong phase. Half of a window is
     settled at a time, and the clock followed from window to window, so small errors of the interval do not add up.

@@ -1,6 +1,6 @@
 """Recognise the board from the footage: a board's lights must lie where its template has them.
 
-Boards may share a marker: what blinks beside it, in marker sides, tells them apart. Whoever names a board is believed
+Boards may share a marker: what blinks beside it, in marker sides, tells them apart. A board that is named is believed
 only as far as the footage agrees: the counter of a wrong board gives times that are wrong by half a minute.
 """
 

@@ -1,7 +1,7 @@
 """The fine clock: five strips lit one after another, read through a rolling shutter.
 
 Time unit: microseconds. A point p of frame k is exposed around board time t_k + d(p), with t_k the mid-exposure time of
-the picture's centre and d the row delay. What the point shows is a periodic curve h_s(t_k + d(p)) of its strip s. The
+the picture's centre and d the row delay. The point shows a periodic curve h_s(t_k + d(p)) of its strip s. The
 curves are learned from the footage itself, so exposure, saturation, codec smear and strips wired together need no
 model; a curve's symmetry pins its centre to the middle of the strip's slot, because exposure and brightness response
 change both flanks of a mid-exposure curve alike.

@@ -314,7 +314,7 @@ class Sensor:
 
 @dataclass(frozen=True)
 class SensorTable:
-    """sensors.json, by name of the mode. What else it holds (measurements, notes) is for people."""
+    """sensors.json, by name of the mode. The rest of it (measurements, notes) is for people."""
 
     SCHEMA: ClassVar[str] = "gof-sensors"
     VERSION: ClassVar[int] = 1

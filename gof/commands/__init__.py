@@ -1,4 +1,4 @@
-"""The commands: their options, and their output. The work is done by the rooms they call.
+"""The commands: their options, and their output. The work is done by the packages they call.
 
 A package adds commands of its own by an entry point of the group `gof.commands` that names a table like `COMMANDS`.
 """
@@ -84,7 +84,7 @@ Parts = dict[str, tuple[str, str]]  # by name: the module with `main(argv) -> ex
 
 
 def run_part(command: str, parts: Parts, text: str, argv: list[str]) -> int:
-    """Run the part that the first word names, or print the help: where it is asked for, or no part is named.
+    """Run the part that the first word names, or print the help: by --help, or where no part is named.
 
     Args:
         text: the help, in which {parts} stands for a line of each part.

@@ -93,7 +93,7 @@ def main(argv: list[str]) -> int:
 
 
 def find_clocks(config: SyncConfig) -> FrameTimesFile:
-    """Decode all videos, write times.json and what is asked for beside it, and say what was found.
+    """Decode all videos, write times.json and the files that options name, and print the findings.
 
     Raises:
         GofError: no camera can be decoded; an option that holds nothing; a times.json is there. Nothing is written.

@@ -211,7 +211,7 @@ def _main(argv: list[str]) -> int:
 def _without_everywhere(argv: list[str]) -> tuple[list[str], everywhere.Everywhere]:
     """Return the command line without the options that every command understands, and these.
 
-    Of a command whose words are another program's, those before its name alone are ours.
+    Where a command passes words to another program, only those before that program's name are ours.
     """
     name = next((k for k, word in enumerate(argv) if word in commands() and commands()[word].foreign), len(argv))
     words, given = everywhere.split(argv[:name])

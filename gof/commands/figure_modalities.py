@@ -36,8 +36,8 @@ class ModalitiesConfig:
 
     Picture, plate, flame mask, depth (stereo; monocular with a checkpoint; depth maps where there are
     such), optical flow, fused flow field, seeds, result, its velocity and, of a simulated fire, the true one.
-    What is seen before any Gaussian is computed again by the run's own settings: seconds to minutes. What cannot be
-    made is left out, and the command says why.
+    Tiles of the stages before the Gaussians are computed again by the run's own settings: seconds to minutes. Tiles
+    that cannot be made are left out, with the reason.
     """
 
     FIRST: ClassVar = ("dataset", "out", "camera", "time", "depth", "columns", "width_in")

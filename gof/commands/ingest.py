@@ -75,11 +75,10 @@ class IngestConfig:
     """Turn that makes the stored pictures upright, one for all or one each; "auto": by the file's rotation tag (phones
     write it)."""
     plates: Annotated[str, tyro.conf.arg(metavar="steady|minimum|FOLDER")] = "steady"
-    """The fire-free picture of each camera: "steady", its minimum over time where fire passed and the temporal median
-    elsewhere; "minimum" everywhere; steady:200 or minimum:200 of so many frames around the clip (--start, --frames),
-    not of the clip's own alone, as what the fire hides all through the clip may be seen before or after it; or a folder
-    with a fire-free picture or film of each camera, cam_0.png or cam_0.mp4 ..., as stored. Held-out frames are never
-    used."""
+    """The fire-free picture of each camera. "steady": per pixel, the darkest value where fire passed, else the median;
+    "minimum": the darkest everywhere; steady:200 or minimum:200: of so many frames around the clip (--start, --frames),
+    which may show what the fire hides all through the clip; or a folder with a fire-free picture or film of each
+    camera, cam_0.png or cam_0.mp4 ..., as stored. Held-out frames are never used."""
     points: Path | None = None
     """JSON of correspondences by hand, see docs/ingest.md; points with xyz also give the scale."""
     board: str = "auto"

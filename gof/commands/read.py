@@ -28,7 +28,7 @@ def read_options(config: type[C], command: str, argv: Sequence[str]) -> C:
         command: the words after `gof`, as "capture sync".
         argv: the words after these.
     Raises:
-        SystemExit: help was asked for (0), or an option is wrong (2).
+        SystemExit: after the help (0), or an option is wrong (2).
         GofError: an option is gone (names the one that replaces it).
     """
     if asked_for(argv):

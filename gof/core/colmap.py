@@ -129,7 +129,7 @@ def _read(folder: Path, what: str, of_bytes: Callable[[bytes], list], of_lines: 
 
 
 def _lines(path: Path) -> list[Line]:
-    """Return numbers and texts of the lines that are no comments. What is not UTF-8 may stand in comments only."""
+    """Return numbers and texts of the lines that are no comments. Bytes beyond UTF-8 may stand in comments only."""
     lines = enumerate(read_text(path, "surrogateescape").split("\n"), 1)
     return [(number, line.strip()) for number, line in lines if not line.lstrip().startswith("#")]
 

@@ -399,7 +399,7 @@ def open_array(path: str | Path) -> ZarrArray:
 
 
 def _all_finite(values: np.ndarray) -> bool:
-    """Return no NaN or Inf. Of float16, which numpy would convert one by one, the exponent bits say so (8 times
+    """Return no NaN or Inf. For float16, which numpy would convert one by one, it reads the exponent bits (8 times
     faster)."""
     if values.dtype == np.float16:
         return bool(((values.view(np.uint16) & 0x7C00) != 0x7C00).all())

@@ -85,7 +85,7 @@ def path_in(folder: Path, path: str) -> Path:
 def without_place(path: Path, folder: Path) -> str:
     """Return the path relative to a folder, if they have more than the root of the disk in common; else its name alone.
 
-    What is published says nothing of where its author keeps files.
+    A published file says nothing of where its author keeps files.
     """
     path, folder = path.absolute(), folder.absolute()
     try:

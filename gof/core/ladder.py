@@ -1,6 +1,6 @@
 """The ladder of presets: five names for how much work something is, the same in every command that has presets.
 
-What a name means to each of them is a table of its own: `gof_blender.pure.presets` for a dataset,
+Each has a table of its own for what a name means: `gof_blender.pure.presets` for a dataset,
 `gof.reconstruct.presets` for a reconstruction, `gof_benchmark.suite` for the benchmark; docs/presets.md has all of it.
 """
 

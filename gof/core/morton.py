@@ -10,7 +10,7 @@ BITS = 10  # per axis
 def morton_order(points: np.ndarray) -> np.ndarray:
     """Return (N,) indices that put (N, 3) finite points, in any unit, along a Morton curve of 1024 cells a side.
 
-    What draws or gathers them then reads memory it has read a moment ago. Points of one cell keep their order.
+    Code that draws or gathers them then reads memory that is still in the cache. Points of one cell keep their order.
     """
     points = np.asarray(points, np.float64)
     low = points.min(axis=0, initial=np.inf)

@@ -2,8 +2,8 @@
 
 A record is a frozen dataclass with class variables `SCHEMA` and `VERSION`; its file is a JSON object of its fields
 beside `"schema"` and `"version"`. A field named like a Python keyword has a trailing underscore that its key in the
-file has not (`import_`, "import"). Fields are checked against their types on reading, so that a wrong file fails at the
-door, and by name.
+file has not (`import_`, "import"). Fields are checked against their types on reading, so that a wrong file fails by
+name, when it is read.
 """
 
 from __future__ import annotations

@@ -124,8 +124,8 @@ class Dataset:
         """Return the dataset's name, and digits that change with its description and its pictures' sizes and times of
         change.
 
-        What is made from a dataset is kept with this: two datasets in folders of one name are two, and one that was
-        moved is the same. Views from all around are only scored, so a dataset that gets some stays the same.
+        Files made from a dataset keep this digest: two datasets in folders of equal names differ, a moved one does
+        not. Views from all around are only scored, so adding some does not change it.
 
         Args:
             others: names of more files in it that matter.

@@ -323,7 +323,7 @@ def card(dataset: Dataset, licence: str, authors: tuple[str, ...], total: int) -
         "## To open it",
         "",
         "    gof unpack ARCHIVE.tar --out data       every file is compared with its checksum",
-        "    cd data/NAME && sha256sum -c SHA256SUMS  the same, without gof",
+        "    cd data/NAME && sha256sum -c SHA256SUMS  without gof",
         "",
     ]
     return "\n".join(parts)

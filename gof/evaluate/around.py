@@ -92,7 +92,7 @@ def angles_deg(around: list[Camera], given: list[Camera]) -> list[float]:
 def meeting_point(cameras: list[Camera]) -> np.ndarray:
     """Return the point (3,), m, that is nearest to the cameras' optical axes, least squares.
 
-    Of a single camera, or of parallel ones, it is the nearest of these points to their mean place.
+    For a single camera, or parallel ones, it is the nearest of these points to their mean place.
     """
     places = np.stack([camera.position for camera in cameras])
     axes = np.stack([camera.world_to_camera[2, :3] for camera in cameras])

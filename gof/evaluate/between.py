@@ -1,6 +1,6 @@
 """The strongest trivial baseline of a held-out picture: the two frames around it, carried half way along their flow.
 
-They are frames of *the very camera* that is asked, which no method has for a view that was not filmed; so this says
+They are frames of *the very camera* that is drawn, which no method has for a view that was not filmed; so this says
 what noise and compression leave to be had, and how far a flame in space is from it.
 """
 

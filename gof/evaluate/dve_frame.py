@@ -6,7 +6,7 @@ vbar = E[V] over the Gaussian,
     L2     = sqrt( sum w |v - vbar|^2 / sum w |vbar|^2 )          0 is perfect, 1 is what zero velocity scores
     CosSim = sum w cos(v, vbar) / sum w                           1 is perfect, 0 is what random directions score
 
-What the paper leaves open is decided here and documented in docs/scores.md.
+Choices that the paper leaves open are made here and documented in docs/scores.md.
 """
 
 from __future__ import annotations

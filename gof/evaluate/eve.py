@@ -42,7 +42,7 @@ BASELINES = {
     "constant": "one vector everywhere: the mean true velocity",
     "height_mean": "the mean true velocity of each height, everywhere",
     "mean_field": "the clip's mean true velocity of each place: nothing unsteady",
-    "light": "how the Gaussians move, where the result says another velocity for the gas",
+    "light": "the Gaussians' own motion, where the result also states a velocity of the gas",
     "true_centre": "the true velocity at each Gaussian's centre: the best that one vector a Gaussian can do",
 }
 

@@ -117,8 +117,8 @@ def over_runs(runs: Sequence[Sequence[float]], eddy_frames: float) -> Estimate:
     """Return mean over the frames of one clip and over the runs (seeds) of a method, each (T,) values of the same
     frames.
 
-    Runs share the clip: its frames' scatter is that of the runs' mean. What the seed adds is the runs' own spread over
-    the root of their number; a single run's is not known, and left out.
+    Runs share the clip: its frames' scatter is that of the runs' mean. The seed adds the runs' spread over
+    the root of their number; for a single run it is not known, and left out.
     """
     table = np.asarray(runs, np.float64)
     frames = over_frames(table.mean(0), eddy_frames)
@@ -148,8 +148,8 @@ def over_scenes(scenes: Sequence[Estimate]) -> Estimate:
 
 
 def ranks(means: Sequence[float], p_values: np.ndarray, better: int) -> list[tuple[int, int]]:
-    """Return the best and the worst place that a method may have: behind all that are better for certain, before all
-    that are worse for certain. Methods that do not differ significantly share places.
+    """Return each method's rank as an interval of places: it excludes only methods that are significantly better or
+    worse. Methods that do not differ significantly share places.
 
     Args:
         means: of each method.

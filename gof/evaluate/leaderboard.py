@@ -361,8 +361,7 @@ def to_markdown(rows: Sequence[Row]) -> str:
 
 
 def pareto(points: Sequence[tuple[float, float]], better: int) -> list[int]:
-    """Return indices of the points (cost, score) that no other beats in both, by rising cost; `better` +1: high scores
-    win."""
+    """Return indices of the points (cost, score) on the Pareto front, by rising cost; `better` +1: high scores win."""
     best, front = None, []
     for i in sorted(range(len(points)), key=lambda i: (points[i][0], -better * points[i][1])):
         if best is None or better * points[i][1] > better * best:

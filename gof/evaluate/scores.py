@@ -316,8 +316,8 @@ class Scores(PictureFigures):
         warnings: hints that something is in other units or another world, or missing.
         dve: None when the dataset has no true velocity.
         trivial_baselines: by name (`gof.evaluate.trivial_baselines.TRIVIAL_BASELINES`); empty without `dve`.
-        published: means over the held-out pictures; None when not asked for.
-        images: None when pictures were not asked for.
+        published: means over the held-out pictures; None when not requested.
+        images: None without pictures.
         around: of cameras all around the flame; empty where the dataset has none.
         light: None where the dataset has no true light.
         flow: motion of pixels on held-out pictures; None without them, or without exact optical flow.

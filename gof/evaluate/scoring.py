@@ -70,7 +70,7 @@ def evaluate(
     a true velocity field.
 
     Args:
-        result: file or folder of any known method (gof.io.importers), or the Gaussians. Of those in memory,
+        result: file or folder of any known method (gof.io.importers), or the Gaussians. In memory,
             `TransientGaussians` count as ours, trajectories and functions of time do not.
         dataset: what it was made from, opened or its folder.
         order, opacity: of `dve`.

@@ -181,7 +181,7 @@ class Bricks:
         """Yield rows of Gaussians, (K,) numbers, with the pool that answers for all their nodes; arguments as in
         `cell_ranges`.
 
-        Whoever takes them lets go of a pool before asking for the next one: both at once would be the peak of the
+        Let go of a pool before taking the next one: both at once would be the peak of the
         memory.
         """
         low, high = self.cell_ranges(position, scale, outermost)

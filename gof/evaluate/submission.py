@@ -370,10 +370,8 @@ def _flame_psnr(dataset: Dataset, shown: Shown) -> float:
 def _scores(run: Run, again: Scores, name: str) -> Iterator[Finding]:
     """Yield whether its scores are those that it states."""
     if (dve := run.scores.dve) is not None and (dve.order, dve.opacity) != (ORDER, OPACITY):
-        said = (
-            f"scores.json has order {dve.order} and {dve.opacity} opacity; everybody is scored with {ORDER}, {OPACITY}"
-        )
-        yield Finding(name, "scored as everybody", "refused", said)
+        said = f"scores.json has order {dve.order} and {dve.opacity} opacity; all are scored with {ORDER}, {OPACITY}"
+        yield Finding(name, "scored as all others", "refused", said)
     stated, ours = _figures(run.scores), _figures(again)
     off = [
         f"{key} is {ours[key]:.4f}, its scores.json says {stated[key]:.4f}"

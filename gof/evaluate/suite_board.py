@@ -388,7 +388,7 @@ def _whose(methods: Sequence[str], scenes: Sequence[ScoredScene]) -> dict[str, s
     """By scene the method whose Gaussians the trivial baselines have: a flame alone, if one is there, and one of every
     scene.
 
-    Of a whole scene most Gaussians are the room, where the true velocity is zero: a trivial baseline there is that of a
+    In a whole scene most Gaussians are the room, where the true velocity is zero: a trivial baseline there is that of a
     room.
     """
 

@@ -22,7 +22,7 @@ TRIVIAL_BASELINES = {
     "zero": "nothing moves",
     "random": "each Gaussian keeps its speed, in a random direction",
     "shuffled": "the result's own velocities, dealt out at random",
-    "light": "how the Gaussians move, where the result says another velocity for the gas",
+    "light": "the Gaussians' own motion, where the result also states a velocity of the gas",
     "constant": "one vector for everything: the mean true velocity",
     "height_mean": "the mean true velocity of each height",
     "true_centre": "the true velocity at each centre: the best a point-wise method can do",

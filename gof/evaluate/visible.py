@@ -6,7 +6,7 @@ of a ray through x,
 
     k_i(x) = alpha_i(t) g_i(x) / s_i,   s_i = (s_x s_y s_z)^(1/3),
 
-so that whoever wants a say in the velocity must show in the picture, and a wide, faint Gaussian has next to none.
+so that a Gaussian counts in the velocity only if it shows in the picture, and a wide, faint Gaussian has next to none.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ class Visible:
     """Which Gaussians are drawn at places, pair by pair.
 
     Attributes:
-        places: M, how many were asked for.   place: (P,) 0..M-1.   gaussian: (P,) row of the state.
+        places: M, their number.   place: (P,) 0..M-1.   gaussian: (P,) row of the state.
         per_metre: (P,) k, 1/m, > 0.
     """
 

@@ -1,6 +1,6 @@
 """The colours that a film means: its code values (ITU-T H.273) to the display values that everything here works in.
 
-OpenCV decodes every film as if it were Rec. 601 SDR, whatever the file says. What it gives is taken back to luma and
+OpenCV decodes every film as if it were Rec. 601 SDR, whatever the file says. Its output is taken back to luma and
 colour differences and read by the matrix, the curve and the primaries that the file names. HLG and PQ, an HDR film's
 curves, become light on a screen (Rec. ITU-R BT.2100); its 203 cd/m2 are the white of SDR (BT.2408), what is brighter is
 rolled off below that white, and Rec. 2020 becomes Rec. 709.

@@ -1,7 +1,7 @@
 """Pictures of one camera as stored, from a video or a folder, and what the file says of them.
 
 OpenCV reads both. Its FFmpeg gives what a video's container states and every frame's time stamp; docs/ingest.md says
-why no other library is asked.
+why no other library is used.
 """
 
 from __future__ import annotations
@@ -267,8 +267,8 @@ def loose_pictures(folder: Path) -> list[Path]:
 def fingerprint(path: Path) -> str:
     """Sixteen hex digits that tell footage from other footage, wherever it lies and whatever it is called.
 
-    Of a video's size, its first and its last MiB; of a folder, the sizes of all its pictures, and this of its first and
-    its last one. All of it would take minutes for long ones.
+    They come from a video's size, its first and its last MiB; or from the sizes of a folder's pictures, and its first
+    and last picture. Reading everything would take minutes for long films.
 
     Raises:
         DataFormatError: no such file, a pipe or a device, no picture in the folder.

@@ -1,4 +1,4 @@
-"""Do videos of one fire say the same of themselves? What they must not differ in silently."""
+"""Compare what the files of one fire state about themselves, where a silent difference would do harm."""
 
 from __future__ import annotations
 

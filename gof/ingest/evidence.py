@@ -72,7 +72,7 @@ class PoseOptions:
                 raise GofError(f"{name} {value}: must be a positive length in metres")
 
     def require_own_up(self, poses: str) -> None:
-        """Raise GofError: a way up is asked for, where known poses already say which way it is."""
+        """Raise GofError: an option names a way up, where known poses already say which way it is."""
         if self.up != "auto":
             raise GofError(f"--up {self.up}: poses are taken over, {poses}, and their axes with them; leave out --up")
 

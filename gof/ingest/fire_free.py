@@ -56,7 +56,7 @@ class FireFree:
     Attributes:
         lowest: the clip's minimum over time, which poses are found on.
         fire_left: share of each plate that still has a flame's colour where fire was.
-        fire_left_by_clip: the same of plates from the clip's own frames; None where nothing else was asked.
+        fire_left_by_clip: the same of plates from the clip's own frames; None where the options name nothing else.
     """
 
     pictures: list[np.ndarray]
@@ -85,7 +85,7 @@ def outside(footage: Footage, used: list[np.ndarray], options: PlateOptions) -> 
     """Per camera the frames outside the clip that its plate may use; none unless `options.frames` asks for them.
 
     Raises:
-        GofError: not more frames are asked for than the clip has, or there are none outside it.
+        GofError: the frames are no more than those of the clip, or there are none outside it.
     """
     if options.frames is None:
         return []

@@ -72,7 +72,7 @@ class FrameTimes:
 
 @dataclass(frozen=True)
 class Timing:
-    """Facts of the frame times, and which frames to use. Of `times`, `fps` and `stamps`, one is.
+    """Facts of the frame times, and which frames to use. One of `times`, `fps` and `stamps` is set.
 
     Attributes:
         times: times.json of `gof capture sync`, or None.

@@ -26,8 +26,8 @@ def pair(names: list[str], clocks: list[np.ndarray], start: int, limit: int | No
     """Return a frame of every camera for each frame of the slowest one, from the first camera's frame `start` on.
 
     Each frame is the one nearest to the slowest camera's. Cameras whose rate is a whole multiple of its rate keep their
-    phase: they are moved by how far the two were apart at the beginning, so that jitter swaps no neighbours. A moment
-    for which a camera has none (dropped, or shown twice) is left out for all.
+    phase: they are moved by how far the two were apart at the beginning, so that jitter swaps no neighbours. A time at
+    which one camera has no frame (dropped, or shown twice) is skipped for all.
 
     Args:
         names: of the cameras, for messages.

@@ -228,7 +228,7 @@ def place_alone(
         clip: (H, W, 3) uint8 RGB upright pictures.   plate: the same without fire.   lens: of these.
         options: `flame_height_m` gives the scale; else the flame is one unit high.
     Raises:
-        GofError: what only several cameras can tell is asked for; no picture shows flame; the camera looks too steeply
+        GofError: an option needs several cameras; no picture shows flame; the camera looks too steeply
             up or down.
     """
     _require_no_more(options)

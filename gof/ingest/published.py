@@ -194,7 +194,7 @@ class PublishedFootage(Footage):
         )
 
     def place(self, clips: list[Evidence], options: PoseOptions) -> Placed:
-        """As published. Raises GofError: a way up is asked for."""
+        """As published. Raises GofError: an option names a way up."""
         options.require_own_up("those that the scene brings")
         points = self.meta.points3D @ self.transform[:3, :3].T + self.transform[:3, 3]
         return Placed(self.world_to_camera, points, PoseReport("published", self.scale))

@@ -2,7 +2,7 @@
 
 Written after its specification (github.com/avala-ai/4dgs, version 1 draft; numbers of sections below are its). Every
 value is rounded to a grid whose pitch is twice the error that the file declares; integers are then coded in streams.
-What the format has no place for (the gas' own velocity and its uncertainty, which Gaussians stand still) goes into
+Arrays without a place in the format (the gas' own velocity and its uncertainty, which Gaussians stand still) go into
 streams of the range that it leaves to applications: other readers skip them.
 """
 
@@ -97,7 +97,7 @@ def save(gaussians: TransientGaussians, path: Path, start_s: float, end_s: float
 
     Args:
         start_s, end_s: first and last second of the clip on the dataset clock; the file's clock starts at the first.
-            What is seen at another time is in the file, but no other program shows it.
+            Light of another time is in the file, but no other program shows it.
         source: what the result was made from, in words; `gof.io.importers` reads it again.
     Raises:
         DataFormatError: no Gaussian, an empty clip, or values so far apart that the grids have no integers for them.

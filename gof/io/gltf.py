@@ -34,7 +34,7 @@ def save(gaussians: TransientGaussians, path: Path, time_s: float, source: str =
     Args:
         time_s: seconds on the dataset clock.   source: how the result was made.
     Returns:
-        What a viewer that keeps to the extension's text will draw otherwise than `gof.render`, in words.
+        Notes on what a viewer that keeps to the extension's text will draw otherwise than `gof.render`, in words.
     Raises:
         DataFormatError: there is no Gaussian.   NonFiniteError: a value is beyond what a float32 can hold.
     """

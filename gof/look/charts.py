@@ -283,7 +283,7 @@ def line_chart(
 
     Args:
         x_label, y_label: with their units.
-        lines: points by the name in the legend. What has no place on a logarithmic axis, and NaN, is left out.
+        lines: points by the name in the legend. NaN, and values without a place on a logarithmic axis, are left out.
         log: the axes that are logarithmic.
     """
     placed = {name: [Point(*p) for p in points if _has_place(Point(*p), log)] for name, points in lines.items()}

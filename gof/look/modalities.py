@@ -59,7 +59,7 @@ class Sources:
 def training_frame(dataset: Dataset, camera: int, time_s: float | None) -> int:
     """Return the training frame nearest to a time, by default the one with most light above the plate.
 
-    Of held-out frames there is neither flow nor a flow field: a method must not look at them.
+    Held-out frames have neither flow nor a flow field: a method must not look at them.
     """
     frames = dataset.train_frames
     if not frames:

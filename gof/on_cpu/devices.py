@@ -1,6 +1,6 @@
 """The word "cuda" means the CPU: tensors, modules, streams, events, memory queries, loaders and files.
 
-What is different from a machine with CUDA: `.cuda()` and `.to("cuda")` of a tensor return that tensor, never a copy of
+Differences from a machine with CUDA: `.cuda()` and `.to("cuda")` of a tensor return that tensor, never a copy of
 it, so writing into the result writes into the tensor (there it may be a copy); half precision under autocast stays off.
 """
 

@@ -40,7 +40,7 @@ def export_wu(model: Path, dataset: Path, out: Path) -> str:
     Args:
         model: a training's output folder, with `cfg_args` and `point_cloud/iteration_*`; the last one is taken.
     Returns:
-        What was written, in words.
+        A line about the written file.
     Raises:
         DataFormatError: no finished training there, or one on a layout whose clock is not known.
     """

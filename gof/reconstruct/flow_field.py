@@ -17,7 +17,7 @@ from gof.reconstruct.voxels import FlameVoxels, carve
 
 @dataclass(frozen=True)
 class FrameField:
-    """One training frame on V voxels. What adds evidence to it returns a new one.
+    """One training frame on V voxels. Functions that add evidence to it return a new one.
 
     Attributes:
         time_s: on the dataset clock.

@@ -11,7 +11,7 @@ flame to flame. Two questions are answered apart:
 Both are fitted to simulated flames of two solvers (`benchmark/training/flow_prior.py`; none of them is a scene or a
 test fire of the benchmark). A network that answers both at once learns its few flames' paces by heart.
 
-What the network gives are the coefficients of five vectors that turn with the flame and its axis, so that the result
+The network gives the coefficients of five vectors that turn with the flame and its axis, so that the result
 is the same for any heading, and without knowing which way is up. Gravity and metres enter through the pace alone; with
 `metres=False` the result is the same in any unit of length or time.
 """
@@ -134,7 +134,7 @@ class FlowPrior:
         np.savez_compressed(path, features=np.array(FEATURES), mean=self.mean, deviation=self.deviation, **arrays)
 
     def correct(self, field: FlowField, metres: bool = True) -> FlowField:
-        """The same clip with the velocity of the gas, and how sure it is, from the velocity of its texture.
+        """The same clip with the velocity of the gas, and its uncertainty, from the apparent motion.
 
         Args:
             field: fused and smoothed flow, as `seen_flow_field` makes it.

@@ -49,7 +49,7 @@ def faint_flame(
 def _noise(images: np.ndarray, plate: np.ndarray, free: np.ndarray) -> float:
     """Standard deviation of red about the plate where `free` (F, H, W) of flame, display values; flame hardly moves it.
 
-    Of NOISE_PICTURES pictures that have a free pixel; there must be one.
+    It takes NOISE_PICTURES pictures that have a free pixel; there must be one.
     """
     some = np.flatnonzero(free.any((1, 2)))
     few = some[:: -(-len(some) // NOISE_PICTURES)]

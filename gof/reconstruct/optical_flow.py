@@ -1,6 +1,6 @@
 """Dense optical flow between two pictures: methods of OpenCV, or MEMFOF from local weights, behind one call.
 
-What each is worth on flames, and costs, is in notebook/choices.md.
+notebook/choices.md says what each is worth on flames, and costs.
 """
 
 from __future__ import annotations

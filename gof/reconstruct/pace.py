@@ -80,7 +80,7 @@ def carried_speed(axis: FlameAxis, log_light: LogLight) -> float:
     """The one speed along the axis that explains most of how log light changes from frame to frame, m/s.
 
     Least squares over all voxels and pairs of frames, weighted by emission (Lucas and Kanade 1981, with the flame as
-    the window). What goes out or on in place pulls it towards 0, other than optical flow, which looks for a match.
+    the window). Light that goes out or on in place pulls it towards 0; optical flow looks for a match.
     Returns:
         0 where the light has no texture along the axis, or there is a single frame.
     """

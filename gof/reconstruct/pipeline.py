@@ -2,7 +2,7 @@
 
     see motion -> still scene -> flow field -> seeds -> fit -> save
 
-What a stage does is in `gof.reconstruct.stages`; here is their order, and what is looked at before the time is spent.
+The stages are in `gof.reconstruct.stages`; here is their order, and the checks before time is spent.
 """
 
 from __future__ import annotations
@@ -122,7 +122,7 @@ def expected_parts(dataset: Dataset, settings: ReconstructionSettings, method: M
 def _learn(parts: dict[str, float], left: TimeLeft, before: Machine) -> None:
     """Keep what the parts took over what was expected of them; other programs' share is the mean of two probes.
 
-    Of a crowded run nothing is learned: the probes do not say how crowded it was between them.
+    Nothing is learned from a crowded run: the probes do not say how crowded it was between them.
     """
     left.end()
     crowded = (before.crowded * Machine.measured_now().crowded) ** 0.5

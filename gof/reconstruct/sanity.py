@@ -78,7 +78,7 @@ def find_faults(dataset: Dataset) -> list[Fault]:
 def window_share(dataset: Dataset) -> float:
     """About which part of a picture a window around the flame takes (`gof.reconstruct.windows`), 0..1.
 
-    Of a few small pictures, none of them held out. What in them looks like flame to one camera alone counts too.
+    It looks at a few small pictures, none of them held out. A spot that is flame to one camera alone counts too.
     """
     shares = []
     for view in _views(dataset):

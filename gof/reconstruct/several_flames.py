@@ -1,7 +1,7 @@
 """Separate flames that burn side by side: each has an axis, a radius and a pace of its own.
 
 Seen along the direction in which it moves, a flame is one bright spot, and two are two with a dark gap between them.
-What lies between two flames is not the core of anything.
+The space between two flames is not the core of anything.
 """
 
 from __future__ import annotations

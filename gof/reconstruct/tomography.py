@@ -64,7 +64,7 @@ def find_compact_emission(
 ) -> np.ndarray:
     """Emission per voxel of one frame, smooth and no longer along the rays than the views ask for.
 
-    Of all that agree with a few views, plain EM keeps what its start has, streaks along the rays, and fits noise by
+    Many lights agree with a few views. Plain EM keeps the streaks of its start along the rays, and fits noise by
     thin ones. So light is smoothed between its iterations (Silverman, Jones, Wilson & Nychka 1990), and raised to a
     power a little above 1, which draws it together: where views from several sides support each other it grows, and
     what lies along one ray alone dies out. Figures of each choice: `python -m gof_benchmark.evidence.tomography`.
@@ -103,7 +103,7 @@ def _in_unit(emission: np.ndarray, views: list[_PooledView]) -> np.ndarray:
 def round_flame(voxels: FlameVoxels, emission: np.ndarray) -> np.ndarray:
     """Return (V,) in (0, 1]: light is near its middle along the rays, no further away than it is wide there.
 
-    What cameras on one side leave open is how far light reaches along their common direction. Each lick and each sheet
+    Cameras on one side leave open how far light reaches along their common direction. Each lick and each sheet
     is about as deep as the disc that fits into its outline is wide (its std-dev: half the disc's radius), and where its
     middle is, emission that reproduces the views says, as the mean along the rays over a few voxels around. A single
     view does not say where that is: as near to the world's axis as can be. All 1 where the cameras stand all around, or

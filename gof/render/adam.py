@@ -44,7 +44,7 @@ class Adam(opt.Adam):
     def only(self, names: Iterable[str], rows: np.ndarray) -> dict[str, Any]:
         """Some rows of parameters of N rows each, by name, differentiable: the others have gradient 0 in this step.
 
-        What a picture does not show costs nothing then: the next `step` reads and moves these rows only, which is what
+        Rows that a picture does not show cost nothing then: the next `step` reads and moves these rows only, as
         `mask_updates` (that must be on) does with gradients of 0. Where the native kernels run it writes to the
         parameters' memory; arrays that were read from here change with it. Once a step: of two calls the last counts.
 

@@ -2,7 +2,7 @@
 
 All channels lie in one strip of memory, row after row, with zeros between rows and between channels. A neighbour k
 pixels away is then the same strip read k places later, so a blur is a sum of shifted strips: contiguous loads, no index
-arithmetic, no border case. What depends only on the ground truth is computed once per `Target`. The forward pass leaves
+arithmetic, no border case. Terms of the ground truth alone are computed once per `Target`. The forward pass leaves
 the derivatives of SSIM with respect to three local moments behind and the backward pass blurs those (the window is
 symmetric and zero outside the image, so the blur is its own adjoint).
 """

@@ -111,7 +111,7 @@ def rasterize(
 
     Results are float32 on the CPU whatever the inputs are; gradients have their tensor's type and device. Places are
     taken from each camera's centre in float64 first: a world far from zero (UTM coordinates) costs no digits where
-    means and viewmats are float64. What float32 inputs have rounded away is lost.
+    means and viewmats are float64. Digits that float32 inputs have rounded away are lost.
     """
     if render_mode not in RENDER_MODES or rasterize_mode not in ("classic", "antialiased"):
         raise DataFormatError(
@@ -205,7 +205,7 @@ def _whole(name: str, value) -> int:
 
 
 def _draw_nothing(cameras: int, options: _Options, channels: int, backgrounds, drawn_from) -> tuple:
-    """Pictures without a Gaussian: backgrounds, no depth, alpha 0. What they were to be drawn from gets gradient 0."""
+    """Pictures without a Gaussian: backgrounds, no depth, alpha 0. Their inputs get gradient 0."""
     size = (cameras, options.height, options.width)
     none = sum(tensor.reshape(-1)[:0].sum().to("cpu", torch.float32) for tensor in drawn_from if tensor is not None)
     planes = []

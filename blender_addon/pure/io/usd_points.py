@@ -145,7 +145,7 @@ def at(cloud: GaussianCloud, time_s: float, least: float = FAINT, time_scale: fl
     """Return the Gaussians of which at least an opacity `least` is left at a time.
 
     Args:
-        time_scale: how many seconds of the recording pass in one of whoever looks; velocities are on that clock.
+        time_scale: how many seconds of the recording pass in one second of the scene; velocities are on that clock.
     """
     place, opacity = state_at(cloud, time_s)
     seen = np.flatnonzero((opacity >= least) & np.isfinite(place).all(axis=1))

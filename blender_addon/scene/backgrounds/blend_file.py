@@ -4,7 +4,7 @@ Everything in the file's scene that is visible in renders is brought in and move
 origin of our world, with the empty's turn about Z undone and the file's unit scale applied: one of its units may be a
 centimetre. Objects stand still, as at the file's current frame. Its cameras, fluid domains and flows stay out,
 and so does a fire that the add-on has put there. An effector of its fluids is an obstacle of our gas, seen or hidden.
-Of the disk only its pictures come in (`foreign`).
+Only its pictures are read from the disk (`foreign`).
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
 """OpenUSD files with Gaussian splats that move (`gof.io.usd`), by anybody's exporter, through OpenUSD's own library.
 
-Ours say their closed form. Of others the state at every time sample is taken, from all prims that pictures show, in
-their world: with the transforms above them, Z up, in metres. Arrays are interpolated as OpenUSD does it.
+Ours say their closed form. From other files the state at every time sample is taken, of all prims that pictures show,
+in their world: with the transforms above them, Z up, in metres. Arrays are interpolated as OpenUSD does it.
 """
 
 from __future__ import annotations
@@ -318,7 +318,7 @@ def _brightest(color: np.ndarray, brightest: np.ndarray, row: np.ndarray, state:
 
 
 def _filled(part: _States, times_s: np.ndarray) -> tuple[_States, list[str]]:
-    """Return places where Gaussians are not said to be, with opacity 0, so that velocities where they are stay theirs.
+    """Return places of Gaussians that a sample leaves out, with opacity 0: velocities where they are stay theirs.
 
     They go on as they went between the two samples nearest to it, or with their velocity there; in a gap, evenly.
     Those of one sample without a velocity are left out: nothing says how they move.

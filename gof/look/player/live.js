@@ -1,6 +1,6 @@
 "use strict";
 
-// Only on the page of `gof view`: what is asked of the program that serves it.
+// Only on the page of `gof view`: its requests to the program that serves it.
 
 const LOOK_MS = 1000; // between two looks for a newer result
 

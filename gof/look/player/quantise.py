@@ -1,6 +1,6 @@
 """Transient Gaussians as the page of `gof share` carries them, in 27 bytes each, and back.
 
-They are 33 bytes where gas and light have a velocity each. What that costs is measured: in dB, pixels and m/s.
+They are 33 bytes where gas and light have a velocity each. The loss is measured in dB, pixels and m/s.
 
 Every quantity is a column of whole numbers on a grid between its least and its greatest value; t_sigma, scale, opacity
 and v_sd on a grid of their logarithms. The page unpacks by the same description (`player/unpack.js`).
@@ -64,7 +64,7 @@ def pack(gaussians: TransientGaussians, true_velocity: np.ndarray | None = None)
     """Quantise.
 
     Args:
-        gaussians: N. Of harmonics only the part without direction is kept; static ones get velocity 0 and t_sigma inf.
+        gaussians: N. Only the part of harmonics without direction is kept; static ones get velocity 0 and t_sigma inf.
         true_velocity: (N, 3) m/s of the gas at each one's centre and time, where it is known.
     """
     g = gaussians

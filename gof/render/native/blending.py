@@ -95,7 +95,7 @@ def forward(records, lists, start, chunks, taken, columns, first_row, planes, ma
     """Draw chunks of a band into the planes: one per channel, then alpha.
 
     chunks: (C, 2), blocks [begin, stop) of each.   taken: (1,) how many of them have begun; threads that share it share
-    the chunks, and whoever is free takes the next.
+    the chunks, and a free one takes the next.
     """
     k = take_next(taken)
     while k < len(chunks):
