@@ -1,4 +1,4 @@
-"""How near the light of `gof convert --into` comes to that of the fire which was really there.
+"""Compare the light of `gof convert --into` with that of the fire that burnt there.
 
     gof background DEMO/dataset --out ROOM
     python -m gof_benchmark.evidence.into_room DEMO/dataset DEMO/reconstruct ROOM/background.ply
