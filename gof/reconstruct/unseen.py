@@ -26,7 +26,7 @@ from gof.reconstruct.voxels import FlameVoxels
 from gof.render.bins import BLOCK
 
 VIEWS = 12  # around the flame, one every 30 degrees; and one from above
-SATURATED, OFTEN = 0.95, 0.02  # linear light; the share of a flame's pixels
+SATURATED, OFTEN = 0.95, 0.25  # linear light; of a flame's pixels, from which share on a channel tells too little
 THICKEST = 2e-3  # of the light that passes through: what is thicker is not told apart
 BLUR = 0.6  # px; voxels are points on a grid, and drawn on another one they would beat
 LEVELS = 48  # of the curve of light by thickness
@@ -100,8 +100,9 @@ def imagine_views(voxels: FlameVoxels, emission: np.ndarray, observation: Observ
 def unsaturated_light(observation: Observation) -> np.ndarray:
     """Return (F, C, H, W) float32 >= 0: the thickness of flame, up to a factor, in the brightest channel that tells it.
 
-    A screen shows no more than white: red does not tell a thick flame from a thicker one. Light l of [0, 1] that every
-    part of a flame adds to what is left of 1 is unrolled by -log(1 - l), which adds up along a ray.
+    Light l of [0, 1] that every part of a flame adds to what is left of 1 is unrolled by -log(1 - l), which adds up
+    along a ray. A screen shows no more than white, but the brightest channel draws a clip's own pictures best even
+    where a sixth of it is white; only what is white in more than a quarter gives way to the next.
     """
     image, plate = srgb_to_linear(observation.image), srgb_to_linear(observation.plate)
     flame = observation.mask & observation.delivered[..., None, None]
@@ -171,7 +172,7 @@ def _footprints(voxels: FlameVoxels, camera: Camera) -> csr_matrix:
 def _light_by_thickness(
     voxels: FlameVoxels, emission: np.ndarray, observation: Observation, frames: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Levels (L,) of thickness, and the median linear light (L, 3) of each in the clip's own pictures; both rise."""
+    """Levels (L,) of thickness, and the mean linear light (L, 3) of each in the clip's own pictures; both rise."""
     thick, bright = [np.zeros(0)], [np.zeros((0, 3))]
     for c, camera in enumerate(observation.cameras):
         pixels_per_voxel = voxels.voxel_size * float(np.nanmedian(np.abs(voxels.jacobian[c]).max((-1, -2))))
@@ -191,7 +192,7 @@ def _light_by_thickness(
     level = np.clip(np.searchsorted(edges, thickness, "right") - 1, 0, max(len(edges) - 2, 0))
     used = np.unique(level)
     levels = np.array([np.median(thickness[level == k]) for k in used])
-    curve = np.array([np.median(light[level == k], axis=0) for k in used])
+    curve = np.array([light[level == k].mean(axis=0) for k in used])
     levels, curve = np.maximum(levels, 1e-12), np.maximum.accumulate(np.maximum(curve, 0))
     # Masks reach beyond the flame, where pictures differ from their plates and tomography finds hardly any. All of the
     # hull would glow in unseen views, so thin flame gives no more than a straight line of light per thickness says.
