@@ -4,8 +4,8 @@
     python -m gof_benchmark.evidence.into_room DEMO/dataset DEMO/reconstruct ROOM/background.ply
 
 A dataset whose fire lights its room, and whose plates show the room without: the flame is put where it burnt into still
-Gaussians of the plates. The change by its light in a camera's view of these is added to the plate, and compared with the
-picture outside the flame mask. A row for each factor `light`; 0 is the room as it was.
+Gaussians of the plates. The change by its light in a camera's view of these is added to the plate, and compared with
+the picture outside the flame mask. A row for each factor `light`; 0 is the room as it was.
 """
 
 from __future__ import annotations

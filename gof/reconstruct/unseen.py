@@ -85,14 +85,19 @@ def find_compact_flame(voxels: FlameVoxels, observation: Observation) -> np.ndar
     return np.stack(map_on_cores(find, range(len(light))))
 
 
-def imagine_views(voxels: FlameVoxels, emission: np.ndarray, observation: Observation) -> UnseenViews | None:
-    """Return how a clip's emission (F, V) of `find_compact_flame` looks from all around; None where it is dark."""
+def imagine_views(
+    voxels: FlameVoxels, emission: np.ndarray, observation: Observation, cameras: list[Camera] | None = None
+) -> UnseenViews | None:
+    """Return how a clip's emission (F, V) of `find_compact_flame` looks from all around; None where it is dark.
+
+    cameras: of one size, with pixels of about a voxel; by default those of `cameras_around`.
+    """
     frames = np.flatnonzero(emission.any(1))
     if not len(frames):
         return None
     shining = emission[frames].T
     levels, curve = _light_by_thickness(voxels, shining, observation, frames)
-    cameras = cameras_around(voxels, observation.cameras)
+    cameras = cameras or cameras_around(voxels, observation.cameras)
     thickness = np.stack([_thickness(voxels, shining, camera) for camera in cameras], 1)
     return UnseenViews(cameras, frames, observation.time_s[frames], thickness.astype(np.float16), levels, curve)
 
