@@ -137,7 +137,7 @@ OURS = Method(
     density_control=False,  # tried, not kept
     color_of_light=True,
     other_plates=0.3,
-    unseen=1.0,
+    unseen=2.0,
     seeding=Seeding(by_emission=True, short_lives=True, opacity=0.1, scale=0.7, seen_color=True),
     rates=Rates(
         lengths="voxels",
