@@ -12,7 +12,6 @@ pieces that fit into memory).
 
 from __future__ import annotations
 
-import resource
 import tempfile
 import time
 from collections.abc import Callable
@@ -23,6 +22,7 @@ from typing import Any
 import numpy as np
 import tyro
 
+from gof.core.costs import peak_memory_mb
 from gof.core.fields import VelocitySequence
 from gof.core.files import write_json
 from gof.core.gaussians import TransientGaussians
@@ -179,7 +179,13 @@ def run_gof(store: str, count: int, n: int) -> dict[str, Any]:
     dve(g[:5000], StoredField(sequence, 0.0), 0.0)  # starts the compiler
     seconds, cpu = _timed(lambda: dve(g, field, 0.0))
     again, again_cpu = _timed(lambda: dve(g, field, 0.0))
-    costs = {"seconds": seconds, "seconds_cpu": cpu, "again": again, "again_cpu": again_cpu, "peak_mb": _peak_mb()}
+    costs = {
+        "seconds": seconds,
+        "seconds_cpu": cpu,
+        "again": again,
+        "again_cpu": again_cpu,
+        "peak_mb": peak_memory_mb(),
+    }
     few = g[:COMPARED]
     mean = expected_velocity(field, few.position.astype(np.float64), few.scale.astype(np.float64), few.rotation).mean
     return costs | {"mean": mean.tolist()}
@@ -191,7 +197,7 @@ def run_scipy(store: str, count: int, n: int) -> dict[str, Any]:
     means = []
     shape = (g.position.astype(np.float64), g.scale.astype(np.float64), g.rotation)
     seconds, cpu = _timed(lambda: means.append(means_with_scipy(sequence, *shape)))
-    return {"seconds": seconds, "seconds_cpu": cpu, "peak_mb": _peak_mb(), "mean": means[0][:COMPARED].tolist()}
+    return {"seconds": seconds, "seconds_cpu": cpu, "peak_mb": peak_memory_mb(), "mean": means[0][:COMPARED].tolist()}
 
 
 def _timed(work: Callable[[], object]) -> tuple[float, float]:
@@ -199,10 +205,6 @@ def _timed(work: Callable[[], object]) -> tuple[float, float]:
     start, cpu = time.perf_counter(), time.process_time()
     work()
     return time.perf_counter() - start, time.process_time() - cpu
-
-
-def _peak_mb() -> float:
-    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
 
 
 if __name__ == "__main__":

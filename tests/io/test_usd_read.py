@@ -520,7 +520,8 @@ def damaged(whole, number):
 
 
 READS = """
-import json, resource, sys
+import json, sys
+from gof.core.costs import peak_memory_mb
 from gof.core.errors import DataFormatError
 from gof.io.importers import read_result
 ends = []
@@ -530,7 +531,7 @@ for path in sys.argv[1:]:
         ends.append("read")
     except DataFormatError as e:
         ends.append(str(e))
-print(json.dumps([ends, resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024]))
+print(json.dumps([ends, peak_memory_mb()]))
 """
 
 
