@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from gof.core.datum import Datum
 from gof.core.errors import DataFormatError, GofError, NonFiniteError
 from gof.core.gaussians import TransientGaussians
 from tests.conftest import random_gaussians
@@ -73,6 +74,27 @@ def test_gas_turns_with_the_world_and_joins_what_knows_of_none():
         replace(apart, gas_velocity=np.zeros((5, 3)))
     with pytest.raises(NonFiniteError, match="'gas_velocity'"):
         replace(apart, gas_velocity=np.full((6, 3), np.nan))
+
+
+@pytest.mark.parametrize("suffix", [".ply", ".npz"])
+@pytest.mark.parametrize("datum", [None, Datum((1.0, 2.0, 3.0), 4.0)])
+def test_emissive_stays_so_in_files_parts_and_other_worlds(tmp_path, suffix, datum):
+    flame = replace(random_gaussians(6), emissive=True, datum=datum)
+    loaded = TransientGaussians.load(flame.save(tmp_path / f"flame{suffix}"))
+    assert loaded.emissive and loaded.datum == datum
+    assert not TransientGaussians.load(random_gaussians(6).save(tmp_path / f"other{suffix}")).emissive
+    assert flame[:3].emissive and flame.transformed(np.eye(4)).emissive and flame.state_at(0.0).emissive
+    assert TransientGaussians.concatenate([flame, flame]).emissive
+    assert not TransientGaussians.concatenate([flame, random_gaussians(2)]).emissive
+
+
+def test_emissive_is_one_bool(tmp_path):
+    path = replace(random_gaussians(3), emissive=True).save(tmp_path / "g.npz")
+    content = dict(np.load(path))
+    for wrong in (np.ones(3, bool), np.array(1)):
+        np.savez(path, **content | {"emissive": wrong})
+        with pytest.raises(DataFormatError, match="'emissive'"):
+            TransientGaussians.load(path)
 
 
 def test_ply_opens_in_an_independent_reader_with_the_3dgs_conventions(tmp_path):

@@ -65,7 +65,6 @@ ROWS: dict[str, Method] = {
     "whole pictures": replace(OURS, windows=False),
     "Gaussians cloned, split and pruned": replace(OURS, density_control=True, windows=False),
     "colours of any brightness": replace(OURS, color_of_light=False),
-    "over their own plates alone": replace(OURS, other_plates=0.0),
     "nothing holds what no camera sees": replace(OURS, unseen=0.0),
     "one velocity for gas and light": _one_velocity(1),
     "one velocity, learnt ten times as fast": _one_velocity(10),

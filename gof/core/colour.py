@@ -28,6 +28,20 @@ def linear_to_srgb(x: np.ndarray) -> np.ndarray:
     return np.where(x <= 0.0031308, 12.92 * x, 1.055 * np.maximum(x, 1e-9) ** (1 / 2.4) - 0.055)
 
 
+def add_light(color: np.ndarray, alpha: np.ndarray, background: np.ndarray) -> np.ndarray:
+    """Return (..., 3) display values of emissive Gaussians over what lies behind them.
+
+    Fire adds its light to what is behind it and hides next to nothing of it. So light is added as cameras add it, in
+    linear values; and of the Gaussians' opacity only what is more than they shine hides. To blend display values, as
+    splats of surfaces do, takes the blue of a grey wall from the orange flame before it.
+
+    Args:
+        color: (..., 3) display values over black.   alpha: (...) opacity, 0..1.   background: (..., 3) display values.
+    """
+    cover = np.maximum(alpha - np.asarray(color).max(-1), 0)[..., None]
+    return linear_to_srgb(srgb_to_linear(background) * (1 - cover) + srgb_to_linear(color))
+
+
 def direction_colors(flow: np.ndarray, longest: float) -> np.ndarray:
     """Convert (..., 2) px/s to (..., 3) display colours: hue is the direction, brightness the length up to `longest`.
 

@@ -78,6 +78,8 @@ class TransientGaussians:
             None is inf for all.
         datum: the place in the world and the time on the clock, both float64, that positions and t_mu count from. None:
             unknown; they are taken to be measured as those are that they are used with.
+        emissive: a flame's: over what lies behind them they are laid by `gof.core.colour.add_light`, as light that is
+            added. Otherwise display values are blended, as in every other method.
 
     Raises:
         DataFormatError: shapes disagree, or a value is outside its range (names the parameter and rows).
@@ -96,6 +98,7 @@ class TransientGaussians:
     gas_velocity: np.ndarray | None = None
     velocity_sd: np.ndarray = FILLED_IN
     datum: Datum | None = None
+    emissive: bool = False
 
     def __post_init__(self):
         if self.velocity_sd is None:
@@ -154,7 +157,7 @@ class TransientGaussians:
 
     def __getitem__(self, index) -> TransientGaussians:
         """Return a subset by boolean mask, slice or index array (N',)."""
-        return type(self)(**{name: values[index] for name, values in self.arrays().items()}, datum=self.datum)
+        return replace(self, **{name: values[index] for name, values in self.arrays().items()})
 
     def at(self, time_s: float) -> tuple[np.ndarray, np.ndarray]:
         """State at one time: position (N, 3) m and opacity (N,) in [0, 1]; static Gaussians do not change."""
@@ -166,7 +169,7 @@ class TransientGaussians:
 
     def arrays(self) -> dict[str, np.ndarray]:
         """Return the arrays by name; without `gas_velocity` where there is none."""
-        values = {f.name: getattr(self, f.name) for f in fields(self) if f.name != "datum"}
+        values = {f.name: getattr(self, f.name) for f in fields(self) if f.name not in results.Whole._fields}
         return {name: value for name, value in values.items() if value is not None}
 
     @property
@@ -224,14 +227,18 @@ class TransientGaussians:
 
     @classmethod
     def concatenate(cls, parts: list[TransientGaussians]) -> TransientGaussians:
-        """Return all Gaussians of several sets, measured from the first datum there is; colour layouts must agree."""
+        """Return all Gaussians of several sets, measured from the first datum there is; colour layouts must agree.
+
+        They are emissive where all sets are.
+        """
         datum = next((part.datum for part in parts if part.datum is not None), None)
         if datum is not None:
             parts = [part.measured_from(datum) for part in parts]
         if any(part.gas_velocity is not None for part in parts):
             parts = [replace(part, gas_velocity=part.moving_gas) for part in parts]
         names = parts[0].arrays()
-        return cls(**{name: np.concatenate([getattr(part, name) for part in parts]) for name in names}, datum=datum)
+        arrays = {name: np.concatenate([getattr(part, name) for part in parts]) for name in names}
+        return cls(**arrays, datum=datum, emissive=all(part.emissive for part in parts))
 
     def save(self, path: str | Path, source: str = "") -> Path:
         """Write `.ply` (3DGS attributes plus time and velocity) or `.npz` (schema gof-linear), by suffix.
@@ -239,7 +246,7 @@ class TransientGaussians:
         Raises:
             DataFormatError: unknown suffix.
         """
-        return results.save(self.arrays(), Path(path), source, self.datum)
+        return results.save(self.arrays(), Path(path), source, results.Whole(self.datum, self.emissive))
 
     @classmethod
     def load(cls, path: str | Path, step: int = 1) -> TransientGaussians:
@@ -251,5 +258,5 @@ class TransientGaussians:
         """
         path = Path(path)
         with naming(path):
-            arrays, datum = results.load(path, step)
-            return cls(**arrays, datum=datum)
+            arrays, whole = results.load(path, step)
+            return cls(**arrays, **whole._asdict())

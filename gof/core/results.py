@@ -7,12 +7,14 @@ something is known of how sure the velocity is. The npz holds activated values.
 Neither ever contains a pickle.
 
 Where places and times are measured from a datum (`gof.core.datum`), the files name it and are of version 2, so that a
-reader that knows none refuses them instead of misplacing a flame by kilometres.
+reader that knows none refuses them instead of misplacing a flame by kilometres. That Gaussians are emissive is said by
+the npz's field "emissive" and the PLY's version 3: an older reader refuses them instead of drawing another flame.
 """
 
 from __future__ import annotations
 
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 
@@ -27,8 +29,11 @@ Arrays = dict[str, np.ndarray]  # the fields of `gof.core.gaussians.TransientGau
 
 NPZ_SCHEMA = "gof-linear/1"
 NPZ_MEASURED = "gof-linear/2"  # from a datum
-PLY_VERSION, PLY_MEASURED = "gof-transient 1", "gof-transient 2"
+PLY_VERSION, PLY_MEASURED, PLY_EMISSIVE = "gof-transient 1", "gof-transient 2", "gof-transient 3"
 PLY_DATUM = "datum x y z t:"
+PLY_LIGHT = (
+    "emissive: adds its light, in linear light, to what lies behind, and hides nothing that it does not outshine"
+)
 PLY_SOURCE = "source: "
 PLY_COMMENTS = [
     "units: metres, seconds, m/s; world frame, Z up",
@@ -37,11 +42,18 @@ PLY_COMMENTS = [
 ]
 
 
-def save(arrays: Arrays, path: Path, source: str = "", datum: Datum | None = None) -> Path:
-    """Write by suffix, atomically. `source` (how it was made) goes into the file. Returns `path`.
+class Whole(NamedTuple):
+    """Facts about all Gaussians of a file together; see `gof.core.gaussians.TransientGaussians`."""
 
-    Args:
-        datum: what places and times are measured from; None: unknown.
+    datum: Datum | None = None
+    emissive: bool = False
+
+
+NOTHING_SAID = Whole()
+
+
+def save(arrays: Arrays, path: Path, source: str = "", whole: Whole = NOTHING_SAID) -> Path:
+    """Write by suffix, atomically. `source` (how it was made) goes into the file. Returns `path`.
 
     Raises:
         DataFormatError: unknown suffix.
@@ -50,12 +62,12 @@ def save(arrays: Arrays, path: Path, source: str = "", datum: Datum | None = Non
     if path.suffix not in writers:
         raise DataFormatError(f"{path}: unknown suffix; use one of {sorted(writers)}")
     with atomic_path(path) as temporary:
-        writers[path.suffix](arrays, temporary, source, datum)
+        writers[path.suffix](arrays, temporary, source, whole)
     return path
 
 
-def load(path: Path, step: int = 1) -> tuple[Arrays, Datum | None]:
-    """Read by suffix: the arrays of every step-th Gaussian, and what they are measured from, where the file says so.
+def load(path: Path, step: int = 1) -> tuple[Arrays, Whole]:
+    """Read by suffix: the arrays of every step-th Gaussian, and what the file says of all of them.
 
     Raises:
         DataFormatError: unknown suffix, no such file, another version, a field missing, or a damaged file.
@@ -80,20 +92,23 @@ _NPZ_FIELDS = {
     "alpha": "opacity",
     "dynamic": "dynamic",
 }
+_NPZ_OPTIONAL = ("rgb", "sh", "datum", "emissive", "v_gas", "v_sd", "schema", "source")
 
 
-def _save_npz(arrays: Arrays, path: Path, source: str, datum: Datum | None) -> None:
+def _save_npz(arrays: Arrays, path: Path, source: str, whole: Whole) -> None:
     stored = {key: arrays[name] for key, name in _NPZ_FIELDS.items()}
     if "gas_velocity" in arrays:
         stored["v_gas"] = arrays["gas_velocity"]
     stored |= _velocity_sd(arrays)
     stored["rgb" if arrays["color"].ndim == 2 else "sh"] = arrays["color"]
-    if datum:
-        stored["datum"] = datum.numbers()
-    np.savez(path, schema=np.array(NPZ_MEASURED if datum else NPZ_SCHEMA), source=np.array(source), **stored)
+    if whole.datum:
+        stored["datum"] = whole.datum.numbers()
+    if whole.emissive:
+        stored["emissive"] = np.array(True)
+    np.savez(path, schema=np.array(NPZ_MEASURED if whole.datum else NPZ_SCHEMA), source=np.array(source), **stored)
 
 
-def _load_npz(path: Path, step: int) -> tuple[Arrays, Datum | None]:
+def _load_npz(path: Path, step: int) -> tuple[Arrays, Whole]:
     data = read_npz(path)
     schema = str(data.get("schema", "none"))
     if schema not in (NPZ_SCHEMA, NPZ_MEASURED):
@@ -105,7 +120,7 @@ def _load_npz(path: Path, step: int) -> tuple[Arrays, Datum | None]:
     missing = [key for key in needed if key not in data] + ["rgb or sh"] * (color not in data)
     if missing:
         raise DataFormatError(f"{path}: fields {missing} are missing")
-    unread = sorted(set(data) - {*_NPZ_FIELDS, "rgb", "sh", "datum", "v_gas", "v_sd", "schema", "source"})
+    unread = sorted(set(data) - {*_NPZ_FIELDS, *_NPZ_OPTIONAL})
     if unread or {"rgb", "sh"} <= set(data):
         raise DataFormatError(
             f"{path}: fields {unread or ['rgb', 'sh']} are not read"
@@ -116,7 +131,10 @@ def _load_npz(path: Path, step: int) -> tuple[Arrays, Datum | None]:
     known = {name: data[key] for key, name in (("v_gas", "gas_velocity"), ("v_sd", "velocity_sd")) if key in data}
     arrays = {name: data[key] for key, name in _NPZ_FIELDS.items()} | {"color": data[color]} | known
     arrays = {name: values[::step] if values.ndim else values for name, values in arrays.items()}
-    return arrays, Datum.from_numbers(data["datum"], path) if schema == NPZ_MEASURED else None
+    emissive = data.get("emissive", np.array(False))
+    if emissive.shape != () or emissive.dtype != bool:
+        raise DataFormatError(f"{path}: 'emissive' has shape {emissive.shape} of {emissive.dtype}; it is one bool")
+    return arrays, Whole(Datum.from_numbers(data["datum"], path) if schema == NPZ_MEASURED else None, bool(emissive))
 
 
 def _velocity_sd(arrays: Arrays) -> Arrays:
@@ -131,7 +149,7 @@ PROPERTIES = ("t_mu", "t_sigma", "vx", "vy", "vz", "is_dynamic")  # beside those
 _GAS = ("gas_vx", "gas_vy", "gas_vz")
 
 
-def _save_ply(arrays: Arrays, path: Path, source: str, datum: Datum | None) -> None:
+def _save_ply(arrays: Arrays, path: Path, source: str, whole: Whole) -> None:
     moving = {
         "t_mu": arrays["t_mu"],
         "t_sigma": arrays["t_sigma"],
@@ -141,23 +159,26 @@ def _save_ply(arrays: Arrays, path: Path, source: str, datum: Datum | None) -> N
     }
     if "gas_velocity" in arrays:
         moving |= {name: arrays["gas_velocity"][:, i] for i, name in enumerate(_GAS)}
-    comments = [PLY_VERSION, *PLY_COMMENTS]
-    if datum:
-        comments = [PLY_MEASURED, " ".join([PLY_DATUM, *map(repr, datum.numbers().tolist())]), *PLY_COMMENTS]
+    datum = whole.datum
+    comments = [PLY_EMISSIVE if whole.emissive else PLY_MEASURED if datum else PLY_VERSION]
+    comments += [" ".join([PLY_DATUM, *map(repr, datum.numbers().tolist())])] if datum else []
+    comments += [*PLY_COMMENTS, *([PLY_LIGHT] if whole.emissive else [])]
     write(path, splat_columns(arrays) | moving, comments + ([f"{PLY_SOURCE}{source}"] if source else []))
 
 
-def of_ply(ply: Ply) -> tuple[Arrays, Datum | None]:
+def of_ply(ply: Ply) -> tuple[Arrays, Whole]:
     """As `load`, of a PLY that has been read."""
     path = ply.path
     version = [c for c in ply.comments if c.startswith("gof-transient")]
-    if version and version[0] not in (PLY_VERSION, PLY_MEASURED):
-        raise DataFormatError(
-            f"{path}: written as '{version[0]}', this version reads '{PLY_VERSION}' and '{PLY_MEASURED}'"
-        )
+    readable = PLY_VERSION, PLY_MEASURED, PLY_EMISSIVE
+    if version and version[0] not in readable:
+        raise DataFormatError(f"{path}: written as '{version[0]}', this version reads {', '.join(map(repr, readable))}")
     measured = [c.removeprefix(PLY_DATUM).split() for c in ply.comments if c.startswith(PLY_DATUM)]
-    if (PLY_MEASURED in version) != (len(measured) == 1):
-        raise DataFormatError(f"{path}: the comment '{PLY_DATUM}' belongs to '{PLY_MEASURED}', once")
+    emissive = PLY_EMISSIVE in version
+    if len(measured) > 1 or (not emissive and (PLY_MEASURED in version) != bool(measured)):
+        raise DataFormatError(
+            f"{path}: the comment '{PLY_DATUM}' belongs to '{PLY_MEASURED}' and '{PLY_EMISSIVE}', once"
+        )
     missing = [name for name in PROPERTIES if not ply.has(name)]
     if missing:
         raise DataFormatError(
@@ -183,4 +204,4 @@ def of_ply(ply: Ply) -> tuple[Arrays, Datum | None]:
             "dynamic": ply.columns("is_dynamic")[:, 0] != 0,
         }
     )
-    return arrays, Datum.from_numbers(measured[0], path) if measured else None
+    return arrays, Whole(Datum.from_numbers(measured[0], path) if measured else None, emissive)

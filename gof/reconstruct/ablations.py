@@ -67,5 +67,5 @@ def change_schedule(ablation: Ablation, schedule: Schedule) -> Schedule:
     if ablation == "joint-opt":
         # What is light above a plate, no one knows who does not know the plate.
         rates = replace(schedule.rates, plate=PLATE_RATE)
-        return replace(schedule, rates=rates, plate_loss=0.0, other_plates=0.0, unseen=0.0)
+        return replace(schedule, rates=rates, plate_loss=0.0, unseen=0.0)
     return schedule

@@ -95,8 +95,8 @@ class Method:
             what the fused flow says of the place where it ends (`gas`); else one for both, which the pictures move.
         windows: only the part of a picture in which the flame can be is drawn and learned from (`windows`); else all.
         density_control: Gaussians are cloned, split and pruned along the way (`density`).
-        color_of_light: the brightest channel of a flame Gaussian is 1 (`parameters`); else colours are free.
-        other_plates: weight of the flame over plates that were not filmed (`optimize.over_plain`); 0 = none.
+        color_of_light: the brightest channel of a flame Gaussian is 1 (`parameters`), and its light is added to the
+            plate behind it (`TransientGaussians.emissive`); else colours are free, and display values blended.
         unseen: weight of views from where no camera stood, as tomography has them (`unseen`), in every second step;
             0 = none.
     """
@@ -115,7 +115,6 @@ class Method:
     windows: bool
     density_control: bool
     color_of_light: bool
-    other_plates: float
     unseen: float
     seeding: Seeding
     rates: Rates
@@ -136,7 +135,6 @@ OURS = Method(
     windows=True,
     density_control=False,  # tried, not kept
     color_of_light=True,
-    other_plates=0.3,
     unseen=2.0,
     seeding=Seeding(by_emission=True, short_lives=True, opacity=0.1, scale=0.7, seen_color=True),
     rates=Rates(
@@ -172,7 +170,6 @@ PAPER = Method(
     windows=False,  # its density control counts on the mean over whole pictures
     density_control=True,  # "densification was left as in the original implementation"
     color_of_light=False,  # 3DGS' coefficients
-    other_plates=0.0,
     unseen=0.0,
     seeding=Seeding(
         by_emission=False,  # authors: half of a frame's voxels

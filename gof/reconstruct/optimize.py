@@ -28,11 +28,12 @@ from gof.reconstruct.windows import Windows
 from gof.render import Target, l1_ssim, render_splats
 from gof.render.adam import Adam
 from gof.render.backend import Float, floats, opaque
+from gof.render.light import to_display
 from gof.render.rasterizer import Frame
 
 SSIM_WEIGHT = 0.2
 STEEPEST = 0.25  # slope of a colour by its logit, at middle grey
-PLAIN_PLATES = 0.05, 0.35  # display values of the plates that a flame is put over
+PLAIN_PLATES = 0.05, 0.35  # display values of the plates behind unseen views
 CHECK_EVERY = 50  # steps between looks at the loss (a synchronisation) and at NaN
 CHECKPOINT_EVERY = 500
 UNSEEN_EVERY = 2  # steps; as good as in each, for a fifth less time
@@ -46,7 +47,6 @@ class Schedule:
 
     Attributes:
         alpha_loss: of flame where no flame may be.
-        other_plates: of the flame over plates that were not filmed, see `over_plain`.
         unseen: of views from where no camera stood (`gof.reconstruct.unseen`), in every `UNSEEN_EVERY`-th step.
         plate_loss: of a plate's change. L1 moves a channel of its pixel by 0.8 of what of it shows through the flame,
             so the pixel may leave the plate that was made by 0.4 of that: far where it is seen, hardly where opaque
@@ -59,7 +59,6 @@ class Schedule:
     density_control: bool = False
     color_of_light: bool = True
     alpha_loss: float = 0.1
-    other_plates: float = 0.0
     unseen: float = 0.0
     plate_loss: float = 1.0
     seed: int = 0  # of the order of the pictures
@@ -169,11 +168,8 @@ def take_step(step: int, flame: Flame, pictures: TrainingPictures, schedule: Sch
     shown = flame.shown(f, c, unseen)
     drawn = flame.drawn(shown, f, c)
     loss = _loss(drawn, pictures, f, c, schedule.alpha_loss)
-    plain = rng.uniform(*PLAIN_PLATES, 3)
-    if schedule.other_plates > 0:
-        loss += schedule.other_plates * flame.loss_elsewhere(drawn, pictures, f, c, plain)
     if unseen is not None:
-        loss += schedule.unseen * flame.loss_unseen(shown, unseen, plain)
+        loss += schedule.unseen * flame.loss_unseen(shown, unseen, rng.uniform(*PLAIN_PLATES, 3))
     loss += schedule.plate_loss * flame.surroundings.moved(c, flame.optimizer)
     dr.backward(loss)
     flame.watch(step, drawn.frame, c)
@@ -237,20 +233,12 @@ class Flame:
         # Nearer than a voxel is no place for a flame Gaussian; the limit follows the unit of length.
         return self.surroundings.draw(seen, c, self.voxel_size, self.optimizer)
 
-    def loss_elsewhere(self, drawn: Drawn, pictures: TrainingPictures, f: int, c: int, plain: np.ndarray) -> Any:
-        """Mean absolute difference of the flame over an even plate; 0 where what is behind it cannot be exchanged.
-
-        Args:
-            plain: (3,) display values of the plate.
-        """
-        seen = self.surroundings.over(drawn, c, [opaque(x) for x in plain], self.optimizer)
-        return 0.0 if seen is None else _difference(seen, over_plain(pictures.light(f, c), plain))
-
     def loss_unseen(self, shown: Raw, unseen: UnseenView, plain: np.ndarray) -> Any:
-        """Mean absolute difference of a view from where no camera stood, over an even plate."""
+        """Mean absolute difference of a view from where no camera stood, over an even plate of display values (3,)."""
         flame = splats(shown, self.voxel_size, unseen.time_s - self.start_s, unseen.camera)
         planes = [dr.full(Float, 0, unseen.camera.width * unseen.camera.height) + opaque(x) for x in plain]
-        seen = render_splats(flame, unseen.camera, background=planes, near=self.voxel_size, antialias=True)
+        how = {"emissive": self.surroundings.emissive, "near": self.voxel_size, "antialias": True}
+        seen = render_splats(flame, unseen.camera, planes, **how)
         return _difference(seen.color, over_plain(unseen.light, plain))
 
     def _time_s(self, f: int, c: int) -> float:
@@ -304,7 +292,6 @@ class TrainingPictures:
         self._epoch: tuple[int, int] | None = None  # seed and number of the one whose order is known
         self._order = self._delivered
         self._targets: dict[tuple[int, int], Target] = {}
-        self._light: dict[tuple[int, int], np.ndarray] = {}
         self._outside: dict[tuple[int, int], Float] = {}
 
     def drawn(self, seed: int, step: int) -> tuple[int, int]:
@@ -320,14 +307,6 @@ class TrainingPictures:
             self._targets[f, c] = Target(self._windows.cut(c, self._observation.image[f, c]))
         return self._targets[f, c]
 
-    def light(self, f: int, c: int) -> np.ndarray:
-        """See `light_and_smoke`; of the window, row by row."""
-        if (f, c) not in self._light:
-            pictures = self._observation.image[f, c], self._observation.plate[c]
-            image, plate = (srgb_to_linear(self._windows.cut(c, picture)) for picture in pictures)
-            self._light[f, c] = light_and_smoke(image, plate).astype(np.float16)
-        return self._light[f, c]
-
     def outside(self, f: int, c: int) -> Float:
         """1 where no flame may be, else 0."""
         if (f, c) not in self._outside:
@@ -342,39 +321,9 @@ def _loss(drawn: Drawn, pictures: TrainingPictures, f: int, c: int, alpha_loss: 
     return loss + alpha_loss * dr.mean(drawn.share * pictures.outside(f, c))
 
 
-def light_and_smoke(image: np.ndarray, plate: np.ndarray) -> np.ndarray:
-    """Return (3, N) the light that a flame adds to its plate or, below 0, minus the share of the plate that it hides.
-
-    Fire adds light and hides nothing of what is behind it; what is darker than its plate is smoke.
-
-    Args:
-        image, plate: (..., 3) linear light, N pixels.
-    """
-    light = image - plate
-    hidden = light / np.maximum(plate, np.finfo(np.float32).tiny)  # above -1; a black plate cannot be made darker
-    return np.moveaxis(np.where(light < 0, hidden, light), -1, 0).reshape(3, -1)
-
-
 def over_plain(light: np.ndarray, plain: np.ndarray) -> list[Float]:
-    """A flame over an even plate: planes of display values.
-
-    A picture alone does not say what of a pixel is light and what is cover, and a flame that covers is another one over
-    another plate.
-
-    Args:
-        light: (3, N), see `light_and_smoke`.   plain: (3,) display values of the plate.
-    """
-    planes = []
-    for values, under in zip(light, srgb_to_linear(plain), strict=True):
-        behind, above = opaque(under), floats(values)
-        planes.append(_display(behind * (1 + dr.minimum(above, 0)) + dr.maximum(above, 0)))
-    return planes
-
-
-def _display(light: Float) -> Float:
-    """Display values (sRGB) of linear light, within [0, 1]."""
-    light = dr.clip(light, 0, 1)
-    return dr.select(light > 0.0031308, 1.055 * dr.power(dr.maximum(light, 0.0031308), 1 / 2.4) - 0.055, 12.92 * light)
+    """Return a flame's light (3, N), linear, over an even plate (3,) of display values: planes of display values."""
+    return [to_display(dr.minimum(opaque(b) + floats(x), 1)) for x, b in zip(light, srgb_to_linear(plain), strict=True)]
 
 
 def _difference(seen: list[Float], wanted: list[Float]) -> Any:

@@ -193,7 +193,6 @@ def fit(
         method.gas_apart,
         method.density_control,
         method.color_of_light,
-        other_plates=method.other_plates,
         unseen=method.unseen,
         seed=settings.seed,
     )
@@ -209,7 +208,7 @@ def fit(
         for pictures in (observation.plate, observation.blocked)
     )
     surroundings: Surroundings = (
-        Plates(parts, plates, blocked, move=schedule.rates.plate > 0)
+        Plates(parts, plates, blocked, move=schedule.rates.plate > 0, emissive=method.color_of_light)
         if still is None
         else StillScene(still, parts, field.voxels)
     )

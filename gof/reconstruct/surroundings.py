@@ -7,7 +7,7 @@ drawn with it, again and again. The picture is the same (tested), for a fraction
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, NamedTuple, Protocol
 
 import drjit as dr
@@ -37,6 +37,10 @@ class Drawn(NamedTuple):
 class Surroundings(Protocol):
     """Surroundings of the flame; drawn one picture at a time."""
 
+    @property
+    def emissive(self) -> bool:
+        """Whether the flame's light is added to what lies behind it (`TransientGaussians.emissive`)."""
+
     def unknowns(self) -> dict[str, Any]:
         """Return the raw parameters that the optimisation may change, by name."""
 
@@ -45,12 +49,6 @@ class Surroundings(Protocol):
 
         Args:
             near: m, Gaussians closer to the camera are not drawn.   unknowns: where those of `unknowns` are now.
-        """
-
-    def over(self, drawn: Drawn, camera: int, color: list[Float], unknowns: Any) -> list[Float] | None:
-        """Return the drawn picture over an even plate of this colour in place of its own: planes; differentiable.
-
-        None where what is behind the flame cannot be taken away.
         """
 
     def moved(self, camera: int, unknowns: Any) -> Any:
@@ -72,12 +70,13 @@ class Plates:
     But for pixels in which a camera's view is blocked (`occluders`): there it is before the flame.
     """
 
-    def __init__(self, cameras: list[Camera], plates: np.ndarray, blocked: np.ndarray, move: bool):
+    def __init__(self, cameras: list[Camera], plates: np.ndarray, blocked: np.ndarray, move: bool, emissive: bool):
         """
         Args:
             plates: (C, H, W, 3) display values.   blocked: (C, H, W) bool.
-            move: whether the optimisation may change the plates.
+            move: whether the optimisation may change the plates.   emissive: see `Surroundings`.
         """
+        self.emissive = emissive
         self._cameras, self._shape, self._blocked, self._move = cameras, plates.shape[1:], blocked, move
         self._plates = {f"{PLATE}{c}": columns(plate.reshape(-1, 3), Array3f) for c, plate in enumerate(plates)}
         self._through = [Float((~b).ravel().astype(np.float32)) if b.any() else None for b in blocked]
@@ -92,19 +91,16 @@ class Plates:
     def draw(self, flame: Splats, camera: int, near: float, unknowns: Any) -> Drawn:
         plate, through = self._at(camera, unknowns), self._through[camera]
         planes = [plate.x, plate.y, plate.z]
-        frame = render_splats(flame, self._cameras[camera], background=planes, near=near)
+        frame = render_splats(flame, self._cameras[camera], planes, emissive=self.emissive, near=near)
         if through is None:
             return Drawn(frame.color, frame.alpha, frame)
         color = [dr.fma(through, drawn - still, still) for drawn, still in zip(frame.color, planes, strict=True)]
         return Drawn(color, through * frame.alpha, frame)
 
-    def over(self, drawn: Drawn, camera: int, color: list[Float], unknowns: Any) -> list[Float]:
-        plate, left = self._at(camera, unknowns), 1 - drawn.share
-        return [dr.fma(left, new - old, seen) for seen, new, old in zip(drawn.color, color, plate, strict=True)]
-
     def result(self, flame: TransientGaussians, unknowns: Any) -> tuple[TransientGaussians, list[np.ndarray]]:
         plates = [rows(self._at(c, unknowns)).reshape(self._shape) for c in range(len(self._cameras))]
         before = [b[..., None].astype(np.float32) for b in self._blocked]
+        flame = replace(flame, emissive=self.emissive)
         return flame, [np.concatenate([p, b], -1) if b.any() else p for p, b in zip(plates, before, strict=True)]
 
     def _at(self, camera: int, unknowns: Any) -> Array3f:
@@ -113,7 +109,12 @@ class Plates:
 
 
 class StillScene:
-    """Static Gaussians: what is nearer hides the flame, and it is seen from where no camera stood."""
+    """Static Gaussians: what is nearer hides the flame, and it is seen from where no camera stood.
+
+    Both are drawn in one pass, front to back, which blends display values.
+    """
+
+    emissive = False
 
     def __init__(self, still: TransientGaussians, cameras: list[Camera], voxels: FlameVoxels):
         """voxels: where the flame is."""
@@ -122,9 +123,6 @@ class StillScene:
 
     def unknowns(self) -> dict[str, Any]:
         return {}
-
-    def over(self, drawn: Drawn, camera: int, color: list[Float], unknowns: Any) -> None:
-        return None
 
     def moved(self, camera: int, unknowns: Any) -> Any:
         return 0.0

@@ -14,6 +14,7 @@ from gof.render.backend import Array2f, Array3f, Array4f, Bool, Float, UInt, flo
 from gof.render.bins import BLOCK, PAIR_BUDGET
 from gof.render.blend import MAX_ALPHA, DrJitBlend, Trace
 from gof.render.harmonics import harmonics_color
+from gof.render.light import add_light
 from gof.render.project import Projected, ProjectionOptions, project
 from gof.render.scene import MAX_CHANNELS, Splats, columns, require_finite_splats, transient_state
 from gof.render.shutter import shutter_delay
@@ -27,7 +28,7 @@ class Frame:
 
     width: int
     height: int
-    color: list[Float]  # sum w_i c_i + (1 - alpha) background
+    color: list[Float]  # sum w_i c_i + (1 - alpha) background; emissive ones: see `gof.render.light`
     alpha: Float  # sum w_i in [0, 1); alpha + transmittance = 1
     depth: Float | None  # sum w_i z_i, m, not normalised
     dynamic_alpha: Float | None  # sum w_i dynamic_i
@@ -65,6 +66,7 @@ def render_splats(
     camera: Camera,
     background: list | None = None,
     *,
+    emissive: bool = False,
     dynamic: Bool | Float | None = None,
     depth: bool = False,
     pose: list[Float] | None = None,
@@ -80,6 +82,7 @@ def render_splats(
         splats: N Gaussians; gradients flow to every array that has `dr.enable_grad`.
         camera: pinhole camera; its shutter is not looked at, see `shutter_delay`.
         background: one float or Float (H * W) per channel; None = black.
+        emissive: three channels of display values are added to the background as light, see `gof.render.light`.
         dynamic: (N,) weight of each Gaussian in `Frame.dynamic_alpha`; drawn in the same pass as the colour.
         depth: also accumulate camera depth.
         pose: 12 differentiable values (rows of the 3x4 world-to-camera matrix) that replace the camera's own.
@@ -98,6 +101,10 @@ def render_splats(
         raise DataFormatError(f"'max_alpha' is {max_alpha}; it must be above 1/255 and below 1")
     if background is not None and len(background) != len(splats.color):
         raise DataFormatError(f"'background' has {len(background)} channels, 'color' has {len(splats.color)}")
+    if emissive and len(splats.color) != 3:
+        raise DataFormatError(
+            f"'color' has {len(splats.color)} channels; those of emissive Gaussians are red, green, blue"
+        )
     trace = Trace()
     if len(splats) == 0:
         n_planes = len(splats.color) + int(depth) + int(dynamic is not None) + 1
@@ -127,7 +134,9 @@ def render_splats(
     dynamic_alpha = planes.pop() if dynamic is not None else None
     depth_sum = planes.pop() if depth else None
     color = planes
-    if background is not None:
+    if background is not None and emissive:
+        color = add_light(color, alpha, background)
+    elif background is not None:
         through = 1 - alpha
         color = [dr.fma(through, b, c) for c, b in zip(color, background, strict=True)]
     return Frame(width, height, color, alpha, depth_sum, dynamic_alpha, mean2d, radius, trace)
@@ -220,7 +229,7 @@ def render(
         gaussians: N Gaussians with plain colours or spherical harmonics.
         time_s, shutter: see `splats_at`.
         background: (3,) colour or (H, W, 3) image; None = black. A fourth value, 0..1, says how much of a pixel stands
-            before the Gaussians instead of behind them.
+            before the Gaussians instead of behind them. Emissive ones are added to it as light (`add_light`).
         options: near, far, dilation, antialias, min_radius of `gof.render.project.ProjectionOptions`.
     Returns:
         color (H, W, 3), alpha (H, W), depth (H, W) expected camera depth in m (0 where nothing is), dynamic_alpha (H,
@@ -237,7 +246,8 @@ def render(
         image = np.broadcast_to(background[..., :3], (*shape, 3))
         before = np.broadcast_to(background[..., 3], shape) if background.shape[-1] == 4 else None
         background = [floats(image[..., c]) for c in range(3)]
-    frame = render_splats(splats, camera, background, dynamic=floats(gaussians.dynamic), depth=True, **options)
+    emissive, dynamic = gaussians.emissive, floats(gaussians.dynamic)
+    frame = render_splats(splats, camera, background, emissive=emissive, dynamic=dynamic, depth=True, **options)
 
     def plane(values: Float) -> np.ndarray:
         return np.array(values.numpy()).reshape(shape)  # a copy: numpy must not alias Dr.Jit's memory

@@ -82,7 +82,7 @@ def test_a_plate_stands_before_the_flame_where_the_view_is_blocked():
     blocked = np.zeros((1, CAMERA.height, CAMERA.width), bool)
     blocked[0, 40:60] = True
     flame = cloud(0.0, seed=9, dynamic=True)
-    surroundings = Plates([CAMERA], plate, blocked, move=False)
+    surroundings = Plates([CAMERA], plate, blocked, move=False, emissive=False)
     color, share = drawn(surroundings, flame)
     assert np.allclose(color[40:60], 0.25) and not share[40:60].any()
     free = render(flame, CAMERA, 0.0, background=plate[0], near=0.005)["color"]
@@ -98,7 +98,9 @@ def test_a_plate_that_is_hardly_seen_hardly_moves():
     """Left half under flame of opacity 0.95, right half open; the truth is brighter than the plate by 0.3 in both."""
     height, width, start, truth, flame = 8, 8, 0.2, 0.5, 0.9
     opacity = np.where(np.arange(width) < width // 2, 0.95, 0.0) * np.ones((height, 1))
-    plates = Plates([CAMERA], np.full((1, height, width, 3), start), np.zeros((1, height, width), bool), move=True)
+    plates = Plates(
+        [CAMERA], np.full((1, height, width, 3), start), np.zeros((1, height, width), bool), move=True, emissive=True
+    )
     through = Float((1 - opacity).ravel())
     covered = Float((opacity * flame).ravel())
     seen = dr.fma(through, truth, covered) + Float(np.tile([0.01, -0.01], height * width // 2))  # and its noise

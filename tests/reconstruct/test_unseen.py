@@ -8,16 +8,14 @@ import numpy as np
 import pytest
 
 from gof.reconstruct.observation import Observation
-from gof.reconstruct.optimize import light_and_smoke, over_plain
+from gof.reconstruct.optimize import over_plain
 from gof.reconstruct.parameters import from_raw, splats, to_raw
-from gof.reconstruct.surroundings import Plates, StillScene
 from gof.reconstruct.unseen import OFTEN, cameras_around, find_compact_flame, imagine_views, unsaturated_light
 from gof.reconstruct.voxels import carve
-from gof.render import render, render_splats
+from gof.render import render_splats
 from gof.render.backend import Float, opaque
-from gof.render.rasterizer import splats_at
 from tests.conftest import arc, look_at
-from tests.reconstruct.test_surroundings import CAMERA, cloud, voxels
+from tests.reconstruct.test_surroundings import CAMERA, cloud
 from tests.reconstruct.test_voxels import ball
 
 MIDDLE, RADIUS = np.array([0.1, -0.05, 1.0]), 0.25
@@ -186,41 +184,16 @@ def test_frames_that_a_camera_did_not_take_are_left_out():
     assert imagined(voxels, observed) is None
 
 
-# ---------------------------------------------------------------- over other plates
+# ---------------------------------------------------------------- light over plates
 
 
-@pytest.mark.parametrize("hidden", [False, True])
-def test_over_another_plate_is_what_the_renderer_draws_there(hidden):
-    rng = np.random.default_rng(0)
-    shape = CAMERA.height, CAMERA.width
-    plate, flame = rng.uniform(0, 1, (*shape, 3)).astype(np.float32), cloud(0.0)
-    blocked = np.zeros((1, *shape), bool)
-    blocked[0, : shape[0] // 2] = hidden
-    surroundings = Plates([CAMERA], plate[None], blocked, move=False)
-    color = [0.1, 0.3, 0.2]
-    drawn = surroundings.draw(splats_at(flame, CAMERA, 0.0), 0, 0.005, {})
-    over = np.stack([p.numpy().reshape(shape) for p in surroundings.over(drawn, 0, [opaque(x) for x in color], {})], -1)
-    true = render(flame, CAMERA, 0.0, background=np.broadcast_to(np.float32(color), plate.shape), near=0.005)["color"]
-    np.testing.assert_allclose(over, np.where(blocked[0, ..., None], color, true), atol=1e-5)
-
-
-def test_what_stands_among_still_gaussians_keeps_them():
-    scene = StillScene(cloud(1.0), [CAMERA], voxels())
-    drawn = scene.draw(splats_at(cloud(0.0), CAMERA, 0.0), 0, 0.005, {})
-    assert scene.over(drawn, 0, [opaque(0.1)] * 3, {}) is None
-
-
-def test_fire_adds_light_and_smoke_takes_a_share():
-    plate = np.array([[0.2, 0.1, 0.05]])
-    fire, smoke = plate + [[0.3, 0.1, 0.0]], plate * [[0.5, 0.5, 0.8]]
-    plain = np.array([0.3, 0.2, 0.1])
+def test_fire_adds_light_to_a_plain_plate():
+    plain, light = np.array([0.3, 0.2, 0.1]), np.array([[0.3], [0.1], [0.0]], np.float32)
     behind = ((plain + 0.055) / 1.055) ** 2.4
-    for image, wanted in ((fire, behind + [0.3, 0.1, 0.0]), (smoke, behind * [0.5, 0.5, 0.8]), (plate, behind)):
-        drawn = [p.numpy()[0] for p in over_plain(light_and_smoke(image, plate), plain)]
-        np.testing.assert_allclose(drawn, shown(wanted), atol=1e-5)
-    for image, behind_it in ((0.0, 0.0), (1.0, 0.0), (0.0, 1.0), (1.0, 1.0)):  # black plates, white pictures
-        light = light_and_smoke(np.full((1, 3), image, np.float32), np.full((1, 3), behind_it, np.float32))
-        assert np.isfinite([p.numpy()[0] for p in over_plain(light, plain)]).all() and (light >= -1).all()
+    drawn = [p.numpy()[0] for p in over_plain(light, plain)]
+    np.testing.assert_allclose(drawn, shown(behind + light[:, 0]), atol=1e-5)
+    white = [p.numpy()[0] for p in over_plain(light + 3, plain)]
+    np.testing.assert_allclose(white, 1, atol=1e-6)  # a screen shows no more
 
 
 # ---------------------------------------------------------------- colours of light

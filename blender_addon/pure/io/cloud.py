@@ -134,8 +134,8 @@ def _count_npz(path: Path) -> int:
 def _of_file(path: Path, clock: Clock, step: int) -> GaussianCloud:
     with naming(path):
         if path.suffix.lower() == ".npz":
-            arrays, datum = results.load(path, step)
-            return GaussianCloud(**arrays, datum=datum)
+            arrays, whole = results.load(path, step)
+            return GaussianCloud(**arrays, **whole._asdict())
         ply = Ply.read(path, step)
         if ftgs.matches(ply):
             values, facts = ftgs.read(ply)
@@ -143,8 +143,8 @@ def _of_file(path: Path, clock: Clock, step: int) -> GaussianCloud:
             start, unit = ftgs.place_in_time(path, facts, 0.0, clock.clip_s, 1 / clock.fps, remedy)
             return GaussianCloud(**ftgs.moving(values, facts, start, unit).arrays())
         if any(map(ply.has, results.PROPERTIES)):
-            arrays, datum = results.of_ply(ply)
-            return GaussianCloud(**arrays, datum=datum)
+            arrays, whole = results.of_ply(ply)
+            return GaussianCloud(**arrays, **whole._asdict())
         n, values = len(ply.vertex), ply.splats()
         ply.refuse_unread()
         still = {"velocity": np.zeros((n, 3)), "t_mu": np.zeros(n), "t_sigma": np.full(n, np.inf)}
