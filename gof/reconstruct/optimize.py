@@ -237,8 +237,8 @@ class Flame:
         """Mean absolute difference of a view from where no camera stood, over an even plate of display values (3,)."""
         flame = splats(shown, self.voxel_size, unseen.time_s - self.start_s, unseen.camera)
         planes = [dr.full(Float, 0, unseen.camera.width * unseen.camera.height) + opaque(x) for x in plain]
-        how = {"emissive": self.surroundings.emissive, "near": self.voxel_size, "antialias": True}
-        seen = render_splats(flame, unseen.camera, planes, **how)
+        emissive, near = self.surroundings.emissive, self.voxel_size
+        seen = render_splats(flame, unseen.camera, planes, emissive=emissive, near=near, antialias=True)
         return _difference(seen.color, over_plain(unseen.light, plain))
 
     def _time_s(self, f: int, c: int) -> float:
@@ -321,9 +321,10 @@ def _loss(drawn: Drawn, pictures: TrainingPictures, f: int, c: int, alpha_loss: 
     return loss + alpha_loss * dr.mean(drawn.share * pictures.outside(f, c))
 
 
-def over_plain(light: np.ndarray, plain: np.ndarray) -> list[Float]:
+def over_plain(light: np.ndarray, plain: np.ndarray) -> list[Any]:
     """Return a flame's light (3, N), linear, over an even plate (3,) of display values: planes of display values."""
-    return [to_display(dr.minimum(opaque(b) + floats(x), 1)) for x, b in zip(light, srgb_to_linear(plain), strict=True)]
+    pairs: Any = zip(map(floats, light), map(opaque, srgb_to_linear(plain)), strict=True)
+    return [to_display(dr.minimum(added + behind, 1)) for added, behind in pairs]
 
 
 def _difference(seen: list[Float], wanted: list[Float]) -> Any:

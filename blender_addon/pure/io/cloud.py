@@ -135,7 +135,7 @@ def _of_file(path: Path, clock: Clock, step: int) -> GaussianCloud:
     with naming(path):
         if path.suffix.lower() == ".npz":
             arrays, whole = results.load(path, step)
-            return GaussianCloud(**arrays, **whole._asdict())
+            return GaussianCloud(**arrays, datum=whole.datum, emissive=whole.emissive)
         ply = Ply.read(path, step)
         if ftgs.matches(ply):
             values, facts = ftgs.read(ply)
@@ -144,7 +144,7 @@ def _of_file(path: Path, clock: Clock, step: int) -> GaussianCloud:
             return GaussianCloud(**ftgs.moving(values, facts, start, unit).arrays())
         if any(map(ply.has, results.PROPERTIES)):
             arrays, whole = results.of_ply(ply)
-            return GaussianCloud(**arrays, **whole._asdict())
+            return GaussianCloud(**arrays, datum=whole.datum, emissive=whole.emissive)
         n, values = len(ply.vertex), ply.splats()
         ply.refuse_unread()
         still = {"velocity": np.zeros((n, 3)), "t_mu": np.zeros(n), "t_sigma": np.full(n, np.inf)}
