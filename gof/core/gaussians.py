@@ -259,4 +259,4 @@ class TransientGaussians:
         path = Path(path)
         with naming(path):
             arrays, whole = results.load(path, step)
-            return cls(**arrays, **whole._asdict())
+            return cls(**{**arrays, **whole._asdict()})
