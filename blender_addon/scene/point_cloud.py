@@ -16,6 +16,7 @@ from . import compat, display, gaussian_nodes, see_through
 DISPLAY = "gs_display"  # attribute: display values as in the file, which nothing draws and exports write
 LONGEST = np.finfo(np.float32).max
 DATUM = "gof_datum"  # custom property: x, y, z (m) and t (s) that places and times count from, where these are not 0
+EMISSIVE = "gof_emissive"  # custom property: they are light, see `TransientGaussians`
 
 
 class CloudError(RuntimeError):
@@ -84,6 +85,8 @@ def add_point_cloud(
     settings["Line Time"] = _line_time(cloud)
     if cloud.datum:
         thing[DATUM] = cloud.datum.numbers().tolist()
+    if cloud.emissive:
+        thing[EMISSIVE] = True
     see_through.allow(bpy.context.scene)
     return thing
 
@@ -157,6 +160,7 @@ def cloud_of(thing: bpy.types.Object) -> GaussianCloud | None:
         dynamic=(inverse > 0) | (velocity != 0).any(1) | (gas != 0).any(1) | ("begin" in given),
         gas_velocity=gas,
         datum=datum_of(thing),
+        emissive=bool(thing.get(EMISSIVE, False)),
         **given,
     )
 

@@ -117,7 +117,8 @@ def _write_down(config: ConvertConfig) -> int:
         )
     if (config.time, config.clip, config.align, config.into) != (None,) * 4:
         raise GofError("--time, --clip, --align and --into are for a file that is written; name it (OUT)")
-    options = replace(options, code_date=with_said(config.result, options)[0].code_date)  # no option says it
+    known, _ = with_said(config.result, options)
+    options = replace(options, code_date=known.code_date, emissive=known.emissive)  # no option says these
     imported = read_result(config.result, options)
     path = write_said(config.result, options)
     out = console()

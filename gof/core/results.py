@@ -7,8 +7,8 @@ something is known of how sure the velocity is. The npz holds activated values.
 Neither ever contains a pickle.
 
 Where places and times are measured from a datum (`gof.core.datum`), the files name it and are of version 2, so that a
-reader that knows none refuses them instead of misplacing a flame by kilometres. That Gaussians are emissive is said by
-the npz's field "emissive" and the PLY's version 3: an older reader refuses them instead of drawing another flame.
+reader that knows none refuses them instead of misplacing a flame by kilometres. That Gaussians are emissive stands
+in the npz's field "emissive" and the PLY's version 3: an older reader refuses them instead of drawing another flame.
 """
 
 from __future__ import annotations

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, fields
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -31,6 +32,7 @@ class Trajectory:
         velocity: (T, N, 3) m/s, or None: differences of the positions.
         color: (N, 3) display values or (N, K, 3) spherical harmonics; None = grey.
         dynamic: (N,) bool; None = all move.
+        emissive: as of `TransientGaussians`.
 
     Raises:
         DataFormatError: shapes or ranges are wrong.   NonFiniteError: NaN or Inf.
@@ -44,11 +46,15 @@ class Trajectory:
     velocity: np.ndarray | None = None
     color: np.ndarray = FILLED_IN
     dynamic: np.ndarray = FILLED_IN
+    emissive: bool = False
 
     def __post_init__(self):
         for f in fields(self):
             if getattr(self, f.name) is not None and np.asarray(getattr(self, f.name)).dtype.kind not in "biuf":
                 raise DataFormatError(f"trajectory '{f.name}' does not hold numbers")
+        if np.shape(self.emissive) or np.asarray(self.emissive).dtype != bool:
+            raise DataFormatError("trajectory 'emissive' is not one bool")
+        self.emissive = bool(self.emissive)
         self.time_s = np.asarray(self.time_s, np.float64)
         steps, count = np.shape(self.position)[:2] if np.ndim(self.position) == 3 else (0, 0)
         self.color = np.full((count, 3), 0.5) if self.color is None else self.color
@@ -146,6 +152,7 @@ class Trajectory:
             opacity=np.clip(mix(self.opacity), 0, 1),
             color=self.color,
             dynamic=self.dynamic,
+            emissive=self.emissive,
         )
 
     def difference_change(self) -> float:
@@ -195,7 +202,8 @@ class Trajectory:
         path = Path(path)
         if path.suffix != ".npz":
             raise DataFormatError(f"{path}: a trajectory is saved as .npz")
-        arrays = {f.name: getattr(self, f.name) for f in fields(self) if getattr(self, f.name) is not None}
+        given = {f.name: getattr(self, f.name) for f in fields(self)}
+        arrays = {name: value for name, value in given.items() if value is not None and value is not False}
         with atomic_path(path) as temporary:
             np.savez(temporary, schema=np.array(SCHEMA), source=np.array(source), **arrays)
         return path
@@ -211,8 +219,9 @@ class Trajectory:
             raise DataFormatError(
                 f"{path}: {unknown} are no fields of a gof-trajectory, which would leave them aside; there are {known}"
             )
+        values: dict[str, Any] = {name: data[name] for name in known if name in data}
         try:
-            return cls(**{f.name: data[f.name] for f in fields(cls) if f.name in data})
+            return cls(**values)
         except DataFormatError as e:
             raise DataFormatError(f"{path}: {e}") from e
 

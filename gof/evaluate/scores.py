@@ -225,17 +225,18 @@ class UsedOptions:
     world: str | None
     world_by: WorldBy | None = None
     code_date: str | None = None
+    emissive: bool = False
 
     @classmethod
     def of(cls, options: ImportOptions) -> UsedOptions:
         world = None if options.world is None else str(options.world)
         times = options.time_unit_s, options.time_zero_s, options.frame_time_s
-        return cls(*times, world, options.world_by, options.code_date)
+        return cls(*times, world, options.world_by, options.code_date, options.emissive)
 
     def options(self) -> ImportOptions:
         world = None if self.world is None else Path(self.world)
         times = self.time_unit_s, self.time_zero_s, self.frame_time_s
-        return ImportOptions(*times, world, self.world_by, self.code_date)
+        return ImportOptions(*times, world, self.world_by, self.code_date, emissive=self.emissive)
 
 
 @dataclass(frozen=True)

@@ -16,11 +16,13 @@ from gof.core.ply import splat_columns, write
 from gof.host.options import require_number
 from gof.io import compressed, dgs, fourdgs, gltf, tsog, usd
 from gof.io.importers import Imported, ImportOptions, gof_files, read_result
+from gof.io.importers.sidecar import file_of, write_said
 from gof.io.into_room import put_into_room
 
 MOVING = {".4dgs": fourdgs, tsog.SUFFIX: tsog, dgs.SUFFIX: dgs}  # suffixes of formats that hold what ours do, rounded
 FRAMES = ("", *usd.SUFFIXES)  # suffixes of formats that hold one frame after another
 INSTANT = (".glb", *compressed.SUFFIXES)  # suffixes of formats that hold the state at one time
+HAZIER = "other viewers blend display values, so over a bright background the flame looks hazier there than in gof"
 
 
 def convert(
@@ -35,7 +37,8 @@ def convert(
 ) -> list[str]:
     """Write a result by suffix: .npz (exact), .ply (3DGS, time, velocity), .ftgs.ply, .4dgs, .tsog, .glb, .spz, .sog.
 
-    A .usda, .usdc or a folder of 3DGS PLYs (a name without a suffix) holds a frame every `frame_time_s`.
+    A .usda, .usdc or a folder of 3DGS PLYs (a name without a suffix) holds a frame every `frame_time_s`. Where a format
+    has no place for it, OUT.gof.json says that a flame is emissive.
 
     Returns what the format made of it, in words.
 
@@ -60,11 +63,18 @@ def convert(
         )
     if time_s is not None and out.suffix not in INSTANT:
         raise DataFormatError(f"{out}: --time means something in {', '.join(INSTANT)} only; leave it out")
+    beside = file_of(out)
+    if beside.exists() and not overwrite:
+        raise DataFormatError(
+            f"{beside}: exists already; replace it with --overwrite, or choose another name for {out}"
+        )
     if out.exists() and not (overwrite and out.is_file()):
         remedy = "remove it" if out.is_dir() else "replace it with --overwrite"
         raise DataFormatError(f"{out}: exists already; {remedy}, or choose another name")
     try:
-        return _written(imported, out, start_s, end_s, frame_time_s, time_s, into)
+        notes = _written(imported, out, start_s, end_s, frame_time_s, time_s, into)
+        beside.unlink(missing_ok=True)  # of a file that was there before
+        return notes if into is not None else notes + _keep_emissive(imported, out, start_s, end_s, frame_time_s)
     except NonFiniteError as e:
         raise DataFormatError(f"{out}: {e}; is the instant far from the result's times?") from e
 
@@ -111,6 +121,25 @@ def _written(
         return [*notes, *_measured(gaussians), *save_frames(gaussians, out, *clip, frame_time_s, color_at)]
     gaussians.save(out, source)
     return notes
+
+
+def _keep_emissive(
+    imported: Imported, out: Path, start_s: float | None, end_s: float | None, frame_time_s: float | None
+) -> list[str]:
+    """Write OUT.gof.json for an emissive flame in a format that cannot say so; returns notes on how it is drawn."""
+    g = imported.gaussians
+    if not isinstance(g, TransientGaussians) or not g.emissive or out.suffix == ".npz":
+        return []
+    timeless = out.suffix in ("", dgs.SUFFIX)
+    if not timeless and not out.name.endswith(".ftgs.ply"):
+        return [HAZIER]
+    said = ImportOptions(
+        time_unit_s=None if out.suffix else frame_time_s,
+        time_zero_s=_clip(g, out, start_s, end_s)[0] if timeless else 0.0,
+        flame_only=imported.flame_only or bool(g.dynamic.all()),
+        emissive=True,
+    )
+    return [HAZIER, f"{write_said(out, said).name} beside it tells gof what it cannot say itself: keep both together"]
 
 
 def _light_in(out: Path) -> str:

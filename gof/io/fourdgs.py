@@ -44,7 +44,7 @@ LIBRARY = "gaussians-on-fire"
 POSITION_SHARE = 0.06  # pitch of places, of the median size
 GAS_PITCH, SPREAD_PITCH = 0.02, 0.1  # m/s, and of the logarithm; the gas is known to some 0.5 m/s
 CUTOFF = 1 / 255  # of the fade: what is fainter no 8-bit picture shows
-START, DATUM, SOURCE = "gof_start_s", "gof_datum", "source"  # keys of the header's attributes
+START, DATUM, EMISSIVE, SOURCE = "gof_start_s", "gof_datum", "gof_emissive", "source"  # keys of the header's attributes
 
 
 @dataclass(frozen=True)
@@ -112,6 +112,8 @@ def save(gaussians: TransientGaussians, path: Path, start_s: float, end_s: float
     facts = {START: repr(float(start_s)), SOURCE: source, "color_space": "srgb-rec709-display", "application": LIBRARY}
     if g.datum:
         facts[DATUM] = " ".join(repr(float(number)) for number in g.datum.numbers())
+    if g.emissive:
+        facts[EMISSIVE] = "true"
     low, high = origin.tolist(), g.position.max(0).tolist()
     windows = struct.pack("<Idd", 1, 0.0, duration_s)
     try:

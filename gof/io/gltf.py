@@ -59,7 +59,7 @@ def save(gaussians: TransientGaussians, path: Path, time_s: float, source: str =
         "attributes": attributes,
         "mode": POINTS,
         "extensions": {EXTENSION: {"kernel": "ellipse", "colorSpace": "srgb_rec709_display"}},
-        "extras": {"transient": {"version": 1, "time_s": float(time_s)}},
+        "extras": {"transient": {"version": 1, "time_s": float(time_s)} | ({"emissive": True} if g.emissive else {})},
     }
     content = {
         "asset": {"version": "2.0", "generator": f"gof {gof.__version__}"}

@@ -245,7 +245,7 @@ def _moved(
 def _still(g: TransientGaussians) -> TransientGaussians:
     if g.dynamic.all():
         raise DataFormatError("holds no still Gaussian, so it is no room; give the PLY of a capture without fire")
-    return g[~g.dynamic]
+    return replace(g[~g.dynamic], emissive=False)  # a room hides what is behind it
 
 
 def _upright(up: np.ndarray) -> np.ndarray:

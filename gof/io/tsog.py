@@ -2,8 +2,8 @@
 
 Its model is ours: places at the time of greatest opacity, even motion, a Gaussian fade; time runs from 0 to 1 over the
 clip. Every value is a number of 8 or 16 bits between the least and the greatest. Y is up, as its players expect. What
-the format has no place for (the gas' own velocity and its uncertainty, which Gaussians stand still, the clock) stands
-in a member "gof" of its metadata and in pictures that other readers leave aside.
+the format has no place for (the gas' own velocity and its uncertainty, which Gaussians stand still, the clock, whether
+they are emissive) stands in a member "gof" of its metadata and in pictures that other readers leave aside.
 """
 
 from __future__ import annotations
@@ -81,6 +81,8 @@ def save(gaussians: TransientGaussians, path: Path, start_s: float, end_s: float
     own: dict[str, Any] = {"start_s": float(start_s), "source": source, "always": float(forever)}
     if gaussians.datum:
         own["datum"] = gaussians.datum.numbers().tolist()
+    if gaussians.emissive:
+        own["emissive"] = True
     if g.gas_velocity is not None:
         own["gas"] = pictures.pair("gas", g.gas_velocity.astype(np.float64))
     flags = np.stack([_spread_codes(g.velocity_sd), np.where(g.dynamic, 1, 0)], 1)

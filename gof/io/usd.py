@@ -24,7 +24,7 @@ from gof.host import extras
 
 ColorAt: TypeAlias = Callable[[float], np.ndarray]  # second -> (N, 3) or (N, K, 3), of all Gaussians
 SUFFIXES = (".usda", ".usdc")
-START, SOURCE, DATUM = "gof_start_s", "source", "gof_datum"  # in the file's customLayerData
+START, SOURCE, DATUM, EMISSIVE = "gof_start_s", "source", "gof_datum", "gof_emissive"  # in the file's customLayerData
 CLOSED_FORM = ("velocity", "t_mu", "t_sigma", "peak_opacity")  # primvars, and gas_velocity and v_sd where there are any
 OLDEST = (0, 26, 3)  # of OpenUSD that has splats
 VISIBLE = 1 / 255  # opacity below which a Gaussian changes no 8-bit picture: written as 0
@@ -33,7 +33,7 @@ REACH_SIGMAS = 3.0  # of a splat's box
 HEAD = """#usda 1.0
 (
     customLayerData = {{
-        double gof_start_s = {start_s!r}{datum}
+        double gof_start_s = {start_s!r}{more}
         string source = {source}
     }}
     defaultPrim = "flame"
@@ -117,14 +117,15 @@ def _write_text(
 ) -> None:
     sh = _harmonics(g.color)
     always = ~(g.dynamic & np.isfinite(g.t_sigma))
-    datum = f"\n        double[] {DATUM} = {g.datum.numbers().tolist()}" if g.datum else ""
+    more = f"\n        double[] {DATUM} = {g.datum.numbers().tolist()}" if g.datum else ""
+    more += f"\n        bool {EMISSIVE} = true" if g.emissive else ""
     ends = sorted({0, len(times) - 1})
     facts: dict[str, object] = {
         "count": len(g),
         "start_s": float(times[0]),
         "step_s": float(step_s),
         "rate": float(1 / step_s),
-        "datum": datum,
+        "more": more,
     }
     facts |= {"degree": round(sh.shape[1] ** 0.5) - 1, "last": len(times) - 1, "source": json.dumps(source)}
     out.write(HEAD.format(**facts))

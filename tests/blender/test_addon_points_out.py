@@ -255,6 +255,15 @@ def test_points_without_blender(tmp_path, flame):
 
 
 @pytest.mark.blender
+@pytest.mark.parametrize("emissive", [True, False])
+def test_what_goes_out_knows_whether_it_is_emissive(tmp_path, flame, emissive):
+    pytest.importorskip("bpy", reason="the operators need Blender")
+    TransientGaussians(**flame, emissive=emissive).save(tmp_path / "result.npz")
+    found = in_blender(WRITE + "result['emissive'] = point_cloud.cloud_of(thing).emissive", tmp_path)
+    assert found["emissive"] is emissive
+
+
+@pytest.mark.blender
 def test_blenders_own_splats(folder, flame):
     """Not offered where Blender has none. How they are written and moved is tried on a mesh, whose points all have."""
     found = in_blender(

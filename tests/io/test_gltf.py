@@ -119,6 +119,9 @@ def test_an_instant_is_that_of_the_gaussians(tmp_path):
     linear = np.where(g.color <= 0.04045, g.color / 12.92, ((g.color + 0.055) / 1.055) ** 2.4)
     np.testing.assert_allclose(attributes["COLOR_0"], np.column_stack([linear, opacity]), atol=2 / 65535)
     assert content["meshes"][0]["primitives"][0]["extras"]["transient"] == {"version": 1, "time_s": 0.4}
+    gltf.save(replace(g, emissive=True), tmp_path / "b.glb", 0.4, "test")
+    content, _ = parse((tmp_path / "b.glb").read_bytes())
+    assert content["meshes"][0]["primitives"][0]["extras"]["transient"]["emissive"] is True
 
 
 def test_every_other_time_follows_from_the_file(tmp_path):

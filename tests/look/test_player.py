@@ -139,6 +139,36 @@ def test_it_draws_over_the_plate_of_a_camera_and_over_black_from_elsewhere(brows
     clean(browser, page)
 
 
+def test_emissive_gaussians_are_added_to_a_plate_as_light(tmp_path):
+    """The same flame twice, as light and as splats; in false colours, which are no light, both are one picture."""
+    cameras = arc(3, width=WIDTH, height=HEIGHT, focal_px=200.0)
+    wall = np.linspace(0.05, 0.95, WIDTH)[:, None] * [1.0, 0.8, 0.6] * np.ones((HEIGHT, 1, 1))
+    frames = np.full((2, 3, HEIGHT, WIDTH, 3), 0.5)
+    plates = np.stack([wall] * 3)
+    dataset = Dataset.open(write_dataset(tmp_path / "data", cameras, frames, plates, 0.5 * np.arange(2)))
+    g = replace(flame(), dynamic=np.ones(150, bool))
+    both = [Opened("light", "gof", tmp_path / "a.npz", replace(g, emissive=True))]
+    both.append(Opened("splats", "gof", tmp_path / "b.npz", g))
+    made = share_page(both, tmp_path / "share.html", dataset)
+    plate, camera = background(dataset, 1, None), dataset.cameras[1]
+    with Browser(2 * WIDTH, HEIGHT) as opened:
+        opened.open(page_address(made.path, "t=0&bare=1"))
+        for time_s in TIMES_S:
+            shown = drawn(opened, f"bare=1&show=0 1&cam=cam_1&t={1e3 * time_s}")
+            pictures = np.split(shown, 2, axis=1)
+            light, splats = (
+                np.clip(render(one.gaussians, camera, time_s, background=plate)["color"], 0, 1) for one in both
+            )
+            assert psnr(light, splats) < 25, "they are two pictures"
+            assert psnr(pictures[0], light) > 45 and psnr(pictures[1], splats) > 45, time_s
+            black = drawn(opened, f"bare=1&show=0 1&plate=0&cam=cam_1&t={1e3 * time_s}")
+            np.testing.assert_allclose(black[:, :WIDTH], black[:, WIDTH:], atol=1.5 / 255)
+        speeds = drawn(opened, "bare=1&show=0 1&cam=cam_1&t=200&colour=speed")
+        np.testing.assert_array_equal(speeds[:, :WIDTH], speeds[:, WIDTH:])
+        assert opened.errors == []
+    assert unpack(pack(both[0].gaussians)).emissive and not unpack(pack(g)).emissive
+
+
 def test_a_static_scene_and_reduced_sizes(browser, page):
     _, _, dataset = page
     browser.resize(WIDTH, HEIGHT)

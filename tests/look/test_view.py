@@ -65,7 +65,7 @@ def gaussians_in(result: dict) -> TransientGaussians:
     """Gaussians of the JSON, as the page reads them."""
     header = result["header"]
     columns = [Column(**{k: v for k, v in one.items() if k != "steps"}) for one in header["columns"]]
-    return unpack(Packed(header["count"], columns, base64.b64decode(result["data"])))
+    return unpack(Packed(header["count"], columns, base64.b64decode(result["data"]), header["emissive"]))
 
 
 def write_rising(path, speed=1.5):

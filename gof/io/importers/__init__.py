@@ -15,6 +15,7 @@ import numpy as np
 from gof.core.datum import require_digits
 from gof.core.errors import DataFormatError, GofError
 from gof.core.gaussians import MovingGaussians, TransientGaussians
+from gof.core.trajectory import Trajectory
 from gof.io.importers import (
     dgs,
     fourdgs,
@@ -106,10 +107,17 @@ def read_result(path: str | Path, options: ImportOptions | None = None) -> Impor
             imported.notes.append(in_words(said, options))
         if name == imported.method == "gof" and (method := gof_files.converted_from(source)) in METHODS:
             imported = replace(imported, method=method)
+        if options.emissive:
+            imported = replace(imported, gaussians=_as_light(imported.gaussians))
         require_kept(imported.gaussians)
         return imported
     except GofError as e:
         raise e if str(source.path) in str(e) or "scale_bounds" in str(e) else type(e)(f"{source.path}: {e}") from e
+
+
+def _as_light(gaussians: MovingGaussians) -> MovingGaussians:
+    assert isinstance(gaussians, (TransientGaussians, Trajectory)), "no importer gives others"
+    return replace(gaussians, emissive=True)
 
 
 def _refuse_unused(name: str, options: ImportOptions) -> None:

@@ -189,6 +189,7 @@ class _Scene:
             dynamic=dynamic,
             gas_velocity=bins[f.GAS] * f.GAS_PITCH if f.GAS in bins else None,
             velocity_sd=_spread(bins[f.SPREAD][:, 0]) if f.SPREAD in bins else FILLED_IN,
+            emissive=self.attributes.get(f.EMISSIVE) == "true",
         )
         notes = self._gates(g, window, start_s)
         if self.to_metres is None:

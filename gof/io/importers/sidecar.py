@@ -28,6 +28,7 @@ class Said:
     world_by: WorldBy | None = None
     code_date: str | None = None
     flame_only: bool = False
+    emissive: bool = False
 
 
 FIELDS = tuple(field.name for field in fields(Said))

@@ -43,6 +43,7 @@ class ImportOptions:
         world_by: whose normalisation of that COLMAP model it was; None = found out, or an error.
         code_date: year-month-day of the method's code that wrote the file, where its meaning changed.
         flame_only: it is a flame without its surroundings, to be drawn over fire-free plates as ours is.
+        emissive: as of `TransientGaussians`; where the file says so itself, it need not be given.
         clip_s: first and last second of the dataset's clip, to compare the method's times with.
 
     Raises:
@@ -56,6 +57,7 @@ class ImportOptions:
     world_by: WorldBy | None = None
     code_date: str | None = None
     flame_only: bool = False
+    emissive: bool = False
     clip_s: tuple[float, float] | None = None
 
     def __post_init__(self):

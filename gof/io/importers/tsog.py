@@ -83,6 +83,7 @@ def _gaussians(
         dynamic=np.ones(len(place), bool) if flags is None else flags[:, 1] != 0,
         gas_velocity=pictures.pair(own["gas"], 3) if "gas" in own else None,
         velocity_sd=FILLED_IN if flags is None else _spread(flags[:, 0]),
+        emissive=own.get("emissive") is True,
     )
     if flags is not None:
         g = replace(g, velocity=np.where(g.dynamic[:, None], g.velocity, 0))

@@ -39,16 +39,18 @@ def read(source: Source, options: ImportOptions) -> Imported:
         places = [usd_stage.to_world(stage, prim, codes) for prim in prims]
         layer = stage.GetRootLayer().customLayerData
         own, aside = _closed_form(stage, prims, codes, places, layer)
+        emissive = len(prims) == 1 and layer.get(u.EMISSIVE) is True
         if own is not None:
             if options.time_unit_s is not None:
                 raise DataFormatError("--time-unit would change nothing here: the file says its seconds; leave it out")
-            own = replace(own, t_mu=own.t_mu + options.time_zero_s)
+            own = replace(own, t_mu=own.t_mu + options.time_zero_s, emissive=emissive)
             method = str(layer.get(u.SOURCE, "")).partition(": ")[0] or "usd"
             return Imported(own, method, source.path, notes)
         clock = _Clock.of(stage, codes, options)
         if len(codes) > 1:
             require_unit(clock.times_s - options.time_zero_s, options, source.path)
         trajectory, said = _trajectory(prims, places, clock)
+        trajectory = replace(trajectory, emissive=emissive)
         return Imported(
             trajectory, "usd", source.path, [*clock.notes, usd_stage.world_in_words(stage), *aside, *notes, *said]
         )

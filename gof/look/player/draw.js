@@ -148,7 +148,7 @@ class Drawer {
   /**
    * shot: view, time (s), grow (factor of sizes), largest and fastest (m/s of the last colour: of Gaussians, of lines), span
    * (s) and thick (px) of lines.   panes: rectangle (left, top, width, height, px), cloud (number),
-   * splats (whether it is drawn), colouring, lines ("own", "true" or null), share (of Gaussians with a line), behind (bitmap
+   * splats (whether it is drawn), emissive, colouring, lines ("own", "true" or null), share (of Gaussians with a line), behind (bitmap
    * or null) as the camera `filmed` took it, strength.
    */
   draw(shot, panes) {
@@ -227,6 +227,7 @@ class Drawer {
     gl.uniform1i(uniforms.blended, 0);
     gl.uniform1i(uniforms.behind, 1);
     gl.uniform1f(uniforms.strength, pane.behind ? pane.strength : 0);
+    gl.uniform1i(uniforms.emissive, pane.emissive ? 1 : 0);
     gl.uniform4fv(uniforms.picture, lensIn(pane.filmed, width, height).picture);
     gl.uniform2f(uniforms.origin, left, bottom);
     gl.uniform2f(uniforms.size, width, height);

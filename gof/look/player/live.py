@@ -22,7 +22,6 @@ import numpy as np
 from gof.core.errors import GofError
 from gof.core.gaussians import TransientGaussians
 from gof.dataset import Dataset
-from gof.io.importers import ImportOptions
 from gof.look.player.opened import Opened, newest, open_moving
 from gof.look.player.page import PageSetting, assemble, measured_alike, packed_result, scales, subtitle, title_of
 from gof.look.player.quantise import pack
@@ -78,7 +77,7 @@ class Live:
 
     def _read(self) -> None:
         stamp = _stamp(newest(self._path))
-        (self._opened,) = measured_alike([open_moving(self._path, ImportOptions())], self._dataset)
+        (self._opened,) = measured_alike([open_moving(self._path)], self._dataset)
         self._stamp = stamp
 
     @property

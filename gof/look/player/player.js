@@ -17,7 +17,7 @@ function unpacked(results) {
   return results.map((result) => {
     const columns = unpack(result.header, bytes(result.data), share.first_s);
     result.data = null;
-    return { count: result.header.count, columns };
+    return { count: result.header.count, emissive: result.header.emissive, columns };
   });
 }
 let clouds = unpacked(share.results);
@@ -140,6 +140,7 @@ async function paint(scale) {
       rectangle,
       cloud: shown[i],
       splats: own || (known && colouring !== RADIANCE),
+      emissive: clouds[shown[i]].emissive && colouring === RADIANCE, // other colours are no light
       colouring: own ? colouring : TRUTH_OF[colouring] ?? RADIANCE,
       lines: !state.lines ? null : own ? "own" : known ? "true" : null,
       share: Math.min(1, share.lines / clouds[shown[i]].count),

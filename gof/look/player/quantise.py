@@ -49,15 +49,17 @@ class Column:
 
 @dataclass(frozen=True)
 class Packed:
-    """N quantised Gaussians: their columns' descriptions, and the columns' bytes one after another."""
+    """N quantised Gaussians: their columns' descriptions, the columns' bytes one after another, and what they are."""
 
     count: int
     columns: list[Column]
     data: bytes
+    emissive: bool
 
     def header(self) -> dict[str, Any]:
         """JSON-ready description of `data`."""
-        return {"count": self.count, "columns": [asdict(column) | {"steps": column.steps} for column in self.columns]}
+        columns = [asdict(column) | {"steps": column.steps} for column in self.columns]
+        return {"count": self.count, "columns": columns, "emissive": self.emissive}
 
 
 def pack(gaussians: TransientGaussians, true_velocity: np.ndarray | None = None) -> Packed:
@@ -86,7 +88,7 @@ def pack(gaussians: TransientGaussians, true_velocity: np.ndarray | None = None)
         _log("opacity", np.maximum(g.opacity, LEAST_OPACITY)[:, None]),
         _log("v_sd", unsure[:, None]),
     ]
-    return Packed(len(g), [column for column, _ in made], b"".join(data for _, data in made))
+    return Packed(len(g), [column for column, _ in made], b"".join(data for _, data in made), g.emissive)
 
 
 def unpack(packed: Packed) -> TransientGaussians:
@@ -110,6 +112,7 @@ def unpack(packed: Packed) -> TransientGaussians:
         dynamic=np.isfinite(values["t_sigma"][:, 0]) | (np.abs(values["v"]).max(-1, initial=0) > 0),
         gas_velocity=values.get("v_gas"),
         velocity_sd=values["v_sd"][:, 0],
+        emissive=packed.emissive,
     )
 
 
