@@ -236,9 +236,8 @@ class Flame:
     def loss_unseen(self, shown: Raw, unseen: UnseenView, plain: np.ndarray) -> Any:
         """Mean absolute difference of a view from where no camera stood, over an even plate of display values (3,)."""
         flame = splats(shown, self.voxel_size, unseen.time_s - self.start_s, unseen.camera)
-        planes = [dr.full(Float, 0, unseen.camera.width * unseen.camera.height) + opaque(x) for x in plain]
-        emissive, near = self.surroundings.emissive, self.voxel_size
-        seen = render_splats(flame, unseen.camera, planes, emissive=emissive, near=near, antialias=True)
+        behind, emissive, near = [opaque(x) for x in plain], self.surroundings.emissive, self.voxel_size
+        seen = render_splats(flame, unseen.camera, behind, emissive=emissive, near=near, antialias=True)
         return _difference(seen.color, over_plain(unseen.light, plain))
 
     def _time_s(self, f: int, c: int) -> float:
