@@ -77,19 +77,21 @@ def test_a_still_thing_in_front_hides_the_flame():
     assert before[..., 0].sum() < 0.2 * behind[..., 0].sum()
 
 
-def test_a_plate_stands_before_the_flame_where_the_view_is_blocked():
+@pytest.mark.parametrize("emissive", [False, True])
+def test_a_plate_stands_before_the_flame_where_the_view_is_blocked(emissive):
     plate = np.full((1, CAMERA.height, CAMERA.width, 3), 0.25)
     blocked = np.zeros((1, CAMERA.height, CAMERA.width), bool)
     blocked[0, 40:60] = True
     flame = cloud(0.0, seed=9, dynamic=True)
-    surroundings = Plates([CAMERA], plate, blocked, move=False, emissive=False)
+    surroundings = Plates([CAMERA], plate, blocked, move=False, emissive=emissive)
     color, share = drawn(surroundings, flame)
     assert np.allclose(color[40:60], 0.25) and not share[40:60].any()
-    free = render(flame, CAMERA, 0.0, background=plate[0], near=0.005)["color"]
+    free = render(replace(flame, emissive=emissive), CAMERA, 0.0, background=plate[0], near=0.005)["color"]
     np.testing.assert_allclose(color[:40], free[:40], atol=1e-5)
     assert np.abs(free[40:60] - 0.25).max() > 0.1, "otherwise nothing is tested"
-    _, plates = surroundings.result(flame, {})
-    again = render(flame, CAMERA, 0.0, background=plates[0], near=0.005)
+    result, plates = surroundings.result(flame, {})
+    assert result.emissive == emissive
+    again = render(result, CAMERA, 0.0, background=plates[0], near=0.005)
     np.testing.assert_allclose(again["color"], color, atol=1e-5)
     np.testing.assert_allclose(again["alpha"], share, atol=1e-5)
 
