@@ -20,6 +20,7 @@ from ..core.errors import DataFormatError, GofError
 from ..core.fields import VelocitySequence, trilinear
 from ..core.files import path_in
 from ..core.records import read_record
+from ..core.rotations import rotation_matrices
 from .io.cloud import GaussianCloud
 
 
@@ -312,14 +313,3 @@ def expected_velocity(
         inside[rows] = within @ WEIGHTS
     inside[inside > 1 - 1e-12] = 1.0  # the weights' own rounding
     return mean, inside
-
-
-def rotation_matrices(quaternion: np.ndarray) -> np.ndarray:
-    """Convert (M, 4) unit quaternions wxyz to (M, 3, 3) float64."""
-    w, x, y, z = quaternion.astype(float).T
-    rows = (
-        (1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)),
-        (2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)),
-        (2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)),
-    )
-    return np.moveaxis(np.array(rows), 2, 0)

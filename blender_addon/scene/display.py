@@ -2,12 +2,13 @@
 
 A reconstruction blends display values: a pixel that the cloud covers by the fraction W with mean colour c shows W c
 over the dark. Cycles blends light and applies the view transform f to the sum. Because f is steep in the dark and flat
-in the bright, f^-1(colour) of every Gaussian for itself would come out far too bright: thin places, and places whose
-Gaussians differ in colour, most of all. So each Gaussian emits f^-1(W c) / W with W and c of a pixel it is seen in:
-there the sum of the light is f^-1(W c), and the scene shows W c. The dimmest of several views counts, because a
-Gaussian matters most where little else is in front of or behind it: at the border of the flame, not in its core. A few
-rounds of correction then scale every Gaussian's light by the mean of wanted over shown light of the pixels it is in,
-over all views and times.
+in the bright, f^-1(colour) of every Gaussian for itself comes out far too bright: thin places, and places whose
+Gaussians differ in colour, most of all. So that is only where the light starts. Rounds of correction scale every
+Gaussian's light by the mean of wanted, f^-1(W c), over shown light of the pixels that it is in, over all views and
+times. The pictures are low in detail and take the Gaussians in any order.
+
+Emissive Gaussians add their light to what is behind them (`gof.core.colour.add_light`), which the opacities they were
+fitted with would hide. Drawn with `HIDING` of these they still hide each other, and little of the scene.
 """
 
 from __future__ import annotations
@@ -20,15 +21,17 @@ from pathlib import Path
 import bpy
 import numpy as np
 
+from ..core.rotations import rotation_matrices
 from ..pure.io.cloud import GaussianCloud
 from . import compat
 
 STOPS = np.linspace(-14.0, 8.0, 1024)  # linear greys measured, in powers of two
+HIDING = 0.5  # part of their opacity with which emissive Gaussians are drawn
 DIRECTIONS = 4  # horizontal views that W and c are taken from
-MOST_SLICES = 64
-LEAST_COVERAGE = 1e-4
+MOST_SLICES = 32
 LEAST_OPACITY = 1e-3  # of a Gaussian that still counts in a picture
-MOST_ROUNDS, ROUNDS_BUDGET = 3, 600_000  # of correction: as many as the budget of Gaussians allows
+MOST_ROUNDS, ROUNDS_BUDGET = 6, 600_000  # of correction: as many as the budget of Gaussians allows, one at least
+POINTS_PER_PIXEL, MOST_POINTS = 4, 64  # that stand for a Gaussian, by the pixels it covers
 MOST_PIXELS = 1 << 22  # of a picture that is summed as an array
 
 
@@ -56,80 +59,83 @@ class ToneCurve:
 
 
 def emission(cloud: GaussianCloud, curve: ToneCurve) -> np.ndarray:
-    """Light (N, 3) float32, finite, >= 0, that each Gaussian emits per unit of opacity.
-
-    W and c are those at its brightest time (to a time slice of one lifetime), in square pixels of two standard
-    deviations.
-    """
-    light = np.full((len(cloud), 3), np.inf, np.float32)
-    for picture in _pictures(cloud):
-        shown, covered, _ = picture.blend(cloud.color)
-        here = (curve.light(np.clip(shown, 0, 1) * covered) / covered)[picture.owner[picture.asked]]
-        rows = picture.rows[picture.asked]
-        light[rows] = np.minimum(light[rows], here)
-    for _ in range(min(MOST_ROUNDS, ROUNDS_BUDGET // len(cloud))):
-        _correct(light, cloud, curve)
+    """Light (N, 3) float64, finite, >= 0, that each Gaussian emits per unit of opacity; emissive ones per unit of
+    `HIDING` times it."""
+    light = curve.light(cloud.color)
+    for _ in range(max(1, min(MOST_ROUNDS, ROUNDS_BUDGET // max(len(cloud), 1)))):
+        lacking, weight = np.zeros_like(light), np.zeros(len(light))
+        for picture in _pictures(cloud):
+            ratio, share = picture.compare(cloud.color, light, curve, HIDING if cloud.emissive else 1.0)
+            weight += np.bincount(picture.rows, share, len(light))
+            for channel in range(3):
+                lacking[:, channel] += np.bincount(picture.rows, share * ratio[picture.owner, channel], len(light))
+        # Gaussians that no picture shows keep theirs.
+        scale = np.where(weight[:, None] > 0, lacking / np.maximum(weight, 1e-300)[:, None], 1.0)
+        light *= np.clip(scale, 0.1, 10)
     return light
-
-
-def _correct(light: np.ndarray, cloud: GaussianCloud, curve: ToneCurve) -> None:
-    """Scale each Gaussian's light by what the pictures lack where it is seen, weighted by its share of their pixels."""
-    lacking, weight = np.zeros_like(light, np.float64), np.zeros(len(light))
-    for picture in _pictures(cloud):
-        shown, covered, share = picture.blend(cloud.color)
-        wanted = curve.light(np.clip(shown, 0, 1) * covered)
-        ratio = wanted / np.maximum(picture.blend(light)[0] * covered, 1e-9)
-        lacking[picture.rows] += share[:, None] * ratio[picture.owner]
-        weight[picture.rows] += share
-    light *= np.clip(lacking / np.maximum(weight, 1e-12)[:, None], 0.1, 10)
 
 
 @dataclass(frozen=True)
 class _Picture:
-    """Gaussians in the pixels of one view at one time."""
+    """M points that stand for Gaussians in the P pixels of one view at one time."""
 
-    rows: np.ndarray  # (M,) which Gaussians
-    asked: np.ndarray  # which of the M are at their brightest time
+    rows: np.ndarray  # (M,) of which Gaussian
     owner: np.ndarray  # (M,) pixel of each
     depth: np.ndarray  # (M,) optical depth of each, spread over a pixel
 
-    def blend(self, color: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Return mean (P, 3) of colours (N, 3) in each of P pixels, coverage (P, 1), and each Gaussian's share (M,) of
-        it."""
-        total = np.bincount(self.owner, self.depth)
-        sums = np.column_stack(
-            [np.bincount(self.owner, self.depth * color[self.rows, channel]) for channel in range(3)]
-        )
-        covered = np.clip(-np.expm1(-total), LEAST_COVERAGE, 1.0)
-        part = covered / np.maximum(total, 1e-12)
-        # a pixel of vanished Gaussians only: dark
-        return sums / np.maximum(total, 1e-12)[:, None], covered[:, None], self.depth * part[self.owner]
+    def compare(
+        self, color: np.ndarray, light: np.ndarray, curve: ToneCurve, hiding: float
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Return wanted over shown light (P, 3), and each point's share (M,) of what its pixel shows.
+
+        Args:
+            color, light: (N, 3) display values and light per unit of opacity.
+            hiding: part of the opacity that Cycles draws.
+        """
+        total = np.maximum(np.bincount(self.owner, self.depth), 1e-12)
+        wanted = curve.light(self._mean(color, total) * -np.expm1(-total)[:, None])
+        covered = -np.expm1(-hiding * total)
+        shown = self._mean(light, total) * covered[:, None]
+        return wanted / np.maximum(shown, 1e-9), self.depth * (covered / total)[self.owner]
+
+    def _mean(self, values: np.ndarray, total: np.ndarray) -> np.ndarray:
+        """Return the mean (P, 3) of values (N, 3) in each pixel."""
+        sums = [np.bincount(self.owner, self.depth * values[self.rows, channel]) for channel in range(3)]
+        return np.column_stack(sums) / total[:, None]
 
 
 def _pictures(cloud: GaussianCloud) -> Iterator[_Picture]:
-    """Yield the cloud at times one lifetime apart, in horizontal views all around."""
+    """Yield the cloud at times two standard deviations of its lifetimes apart, in horizontal views all around; every
+    time the same."""
+    random = np.random.default_rng(0)
+    axes = rotation_matrices(cloud.rotation) * cloud.scale[:, None, :]
     spread = cloud.scale.astype(np.float64).prod(1) ** (2 / 3)  # product of the two standard deviations seen in a view
     pixel = 2 * float(np.median(np.sqrt(spread)))
     first, last = _seen(cloud)
-    bounded = np.isfinite(first)
-    brightest = np.where(bounded, cloud.t_mu, 0.0)
-    lifetime = 1.0
-    if bounded.any():
-        lifetime = max(
-            float(np.median((last - first)[bounded])) / 7, float(np.ptp(brightest[bounded])) / MOST_SLICES, 1e-9
-        )
-    slices = np.round(brightest / lifetime)
+    slices, length = _slices(cloud, first, last)
     for number in np.unique(slices):
-        time = np.float32(number * lifetime)
+        time = np.float32(number * length)
         alive = np.flatnonzero(((first <= time) & (time <= last)) | (slices == number))
-        asked = np.flatnonzero(slices[alive] == number)
         age = np.where(cloud.dynamic[alive], time - cloud.t_mu[alive], np.float32(0))
         alpha = cloud.opacity[alive] * np.exp(-0.5 * np.minimum(np.abs(age) / cloud.t_sigma[alive], 40) ** 2)
-        place = (cloud.position[alive] + age[:, None] * cloud.velocity[alive]) / np.float32(pixel)
-        depth = (2 * np.pi * alpha * spread[alive]) / pixel**2
+        points = np.clip(np.ceil(POINTS_PER_PIXEL * spread[alive] / pixel**2), 1, MOST_POINTS).astype(int)
+        rows = np.repeat(alive, points)
+        place = np.repeat(cloud.position[alive] + age[:, None] * cloud.velocity[alive], points, 0)
+        place = (place + np.einsum("nij,nj->ni", axes[rows], random.standard_normal((len(rows), 3)))) / pixel
+        depth = np.repeat(2 * np.pi * alpha * spread[alive] / pixel**2 / points, points)
         for angle in np.pi * np.arange(DIRECTIONS) / DIRECTIONS:
-            across = place[:, 0] * np.float32(np.cos(angle)) + place[:, 1] * np.float32(np.sin(angle))
-            yield _Picture(alive, asked, _pixel_numbers(across, place[:, 2]), depth)
+            across = place[:, 0] * np.cos(angle) + place[:, 1] * np.sin(angle)
+            yield _Picture(rows, _pixel_numbers(across, place[:, 2]), depth)
+
+
+def _slices(cloud: GaussianCloud, first: np.ndarray, last: np.ndarray) -> tuple[np.ndarray, float]:
+    """Return the number of the time slice (N,) in whose middle each Gaussian is brightest, and the slices' length."""
+    bounded = np.isfinite(first)
+    if not bounded.any():
+        return np.zeros(len(cloud)), 1.0
+    middle = np.where(bounded, cloud.t_mu if cloud.begin is None else (first + last) / 2, 0.0)
+    length = max(2 / 7 * float(np.median((last - first)[bounded])), float(np.ptp(middle[bounded])) / MOST_SLICES, 1e-9)
+    return np.round(middle / length), length
 
 
 def _seen(cloud: GaussianCloud) -> tuple[np.ndarray, np.ndarray]:

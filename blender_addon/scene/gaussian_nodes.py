@@ -11,12 +11,12 @@ from __future__ import annotations
 
 import bpy
 
-from . import compat, gaussian_material
+from . import compat, display, gaussian_material
 from .gaussian_material import EXTENT
 from .nodes import Nodes, pick
 
 NAME = "Transient Gaussians"
-LAYOUT = 3  # raise it when the inputs change: clouds of an older add-on keep their own node group
+LAYOUT = 4  # raise it when the group changes: clouds of an older add-on keep their own node group
 MODES = ("points", "ellipsoids", "arrows", "streaks")
 QUICK = "points" if compat.EEVEE_DRAWS_POINTS else "ellipsoids"  # the quickest that every view draws
 COLORS = ("image", "speed", "age", "lifetime", "error", "uncertainty")
@@ -24,6 +24,7 @@ VECTORS = ("velocity", "true velocity", "error")
 ICOSAHEDRON_RADIUS = EXTENT / 0.7947  # its faces touch the ball of EXTENT; the material does the rounding
 CUT_OFF = 1 / 255  # opacity below which a Gaussian is not visible in an 8-bit picture
 
+KEPT = ("gs_t_mu", "gs_inverse_t_sigma", "gs_opacity", "gs_light", "gs_emissive", "gs_display")  # not to be drawn
 # Attributes that no material asks for once a line has its shape and color.
 SHAPES = ("gs_scale", "gs_euler", "gs_velocity", "gs_gas_velocity", "gs_true_velocity", "gs_velocity_sd")
 
@@ -109,13 +110,15 @@ def _write(nodes: Nodes) -> None:
     ).outputs[0]
     velocity, gas = nodes.named("gs_velocity", "FLOAT_VECTOR"), nodes.named("gs_gas_velocity", "FLOAT_VECTOR")
     # Fields are evaluated on the geometry that reaches a node: nothing below is computed for what is not drawn.
-    points = nodes.store(points, "gs_alpha", "FLOAT", alpha)
+    light = nodes.math("MULTIPLY", nodes.named("gs_emissive", "FLOAT"), display.HIDING - 1)
+    drawn = nodes.math("MULTIPLY", alpha, nodes.math("ADD", light, 1.0))
+    points = nodes.store(points, "gs_alpha", "FLOAT", drawn)
     points = nodes.store(points, "gs_color", "FLOAT_COLOR", _color(nodes, given, gas, age))
     points = nodes.store(points, "velocity", "FLOAT_VECTOR", nodes.vector("SCALE", velocity, Scale=given["Time Scale"]))
     points = nodes.add(
         "GeometryNodeSetPosition", {"Geometry": points, "Offset": nodes.vector("SCALE", velocity, Scale=age)}
     ).outputs[0]
-    points = _without(nodes, points, "gs_t_mu", "gs_inverse_t_sigma", "gs_opacity", "gs_light", "gs_display")
+    points = _without(nodes, points, *KEPT)
     lines = gaussian_material.lines(f"{NAME} Lines"), gaussian_material.lines(f"{NAME} Line Instances", "INSTANCER")
     nodes.add(
         "NodeGroupOutput",

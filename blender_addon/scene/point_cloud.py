@@ -16,7 +16,7 @@ from . import compat, display, gaussian_nodes, see_through
 DISPLAY = "gs_display"  # attribute: display values as in the file, which nothing draws and exports write
 LONGEST = np.finfo(np.float32).max
 DATUM = "gof_datum"  # custom property: x, y, z (m) and t (s) that places and times count from, where these are not 0
-EMISSIVE = "gof_emissive"  # custom property: they are light, see `TransientGaussians`
+EMISSIVE = "gs_emissive"  # attribute, 1 where they are light (see `TransientGaussians`); missing where none is
 
 
 class CloudError(RuntimeError):
@@ -85,8 +85,6 @@ def add_point_cloud(
     settings["Line Time"] = _line_time(cloud)
     if cloud.datum:
         thing[DATUM] = cloud.datum.numbers().tolist()
-    if cloud.emissive:
-        thing[EMISSIVE] = True
     see_through.allow(bpy.context.scene)
     return thing
 
@@ -160,7 +158,7 @@ def cloud_of(thing: bpy.types.Object) -> GaussianCloud | None:
         dynamic=(inverse > 0) | (velocity != 0).any(1) | (gas != 0).any(1) | ("begin" in given),
         gas_velocity=gas,
         datum=datum_of(thing),
-        emissive=bool(thing.get(EMISSIVE, False)),
+        emissive=EMISSIVE in mesh.attributes and bool(column(mesh, EMISSIVE, 1).all()),
         **given,
     )
 
@@ -250,6 +248,8 @@ def _mesh(cloud: GaussianCloud, name: str) -> bpy.types.Mesh:
     add_column(mesh, "gs_opacity", cloud.opacity)
     add_column(mesh, "gs_light", light)
     add_column(mesh, DISPLAY, cloud.color)
+    if cloud.emissive:
+        add_column(mesh, EMISSIVE, np.ones(len(cloud)))
     if cloud.says_uncertainty:
         # No infinity enters the node graph: an unknown uncertainty of a velocity becomes its own size.
         speed = np.linalg.norm(cloud.moving_gas, axis=1)

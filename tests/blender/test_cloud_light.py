@@ -1,0 +1,85 @@
+"""A flame of faint and bright, small and large Gaussians looks in Cycles as the renderer draws it."""
+
+import numpy as np
+import pytest
+
+from gof.core.cameras import Camera
+from gof.core.gaussians import TransientGaussians
+from gof.render import render
+from tests.blender.runs import in_blender
+
+pytestmark = pytest.mark.blender
+WIDTH, HEIGHT, FOCAL = 48, 80, 250.0  # pixels
+SEEN = """
+import numpy as np
+import gof_blender
+from gof_blender.scene import display, view
+from pathlib import Path
+
+folder, transform, wall = Path(sys.argv[1]), sys.argv[2], float(sys.argv[3])
+gof_blender.register()
+bpy.ops.wm.read_factory_settings(use_empty=True)
+scene = bpy.context.scene
+scene.view_settings.view_transform = transform
+render = scene.render
+render.engine, scene.cycles.samples, scene.cycles.use_denoising = "CYCLES", 128, False
+scene.cycles.pixel_filter_type = "BOX"
+render.resolution_x, render.resolution_y = int(sys.argv[4]), int(sys.argv[5])
+scene.world = bpy.data.worlds.new("wall")
+scene.world.use_nodes = True
+light = display.ToneCurve.measure(scene).light(np.array([wall]))[0]
+scene.world.node_tree.nodes["Background"].inputs["Color"].default_value = (light,) * 3 + (1,)
+camera = bpy.data.objects.new("camera", bpy.data.cameras.new("camera"))
+scene.collection.objects.link(camera)
+scene.camera, camera.location, camera.rotation_euler = camera, (0, -3, 0.3), (np.pi / 2, 0, 0)
+camera.data.sensor_fit, camera.data.sensor_height = "VERTICAL", 24
+camera.data.lens = 24 * float(sys.argv[6]) / render.resolution_y
+bpy.ops.gof.import_result(filepath=str(folder / "result.npz"), mode="ellipsoids")
+scene.frame_set(1)
+settings = render.image_settings
+settings.file_format, settings.color_mode = "PNG", "RGB"
+render.filepath = str(folder / "seen.png")
+bpy.ops.render.render(write_still=True)
+image = bpy.data.images.load(render.filepath)
+image.colorspace_settings.name = "Non-Color"
+result["picture"] = np.array(image.pixels[:]).reshape(render.resolution_y, render.resolution_x, 4)[::-1, :, :3].tolist()
+"""
+
+
+def flame(emissive: bool) -> TransientGaussians:
+    """Sizes over two octaves each way, opacities over more than one decade."""
+    rng, n = np.random.default_rng(5), 500
+    height = rng.uniform(0.05, 0.55, n)
+    width = 0.09 * (1 - height)
+    hue = rng.uniform(0, 1, n)
+    return TransientGaussians(
+        position=np.column_stack([width * rng.standard_normal(n), width * rng.standard_normal(n), height]),
+        velocity=np.zeros((n, 3)),
+        t_mu=np.zeros(n),
+        t_sigma=np.full(n, np.inf),
+        scale=0.014 * 2 ** np.clip(rng.standard_normal((n, 1)), -2, 2) * rng.uniform(0.6, 1.6, (n, 3)),
+        rotation=rng.standard_normal((n, 4)),
+        opacity=10 ** rng.uniform(-1.8, -0.3, n),
+        color=np.column_stack([0.8 + 0.2 * hue, 0.3 + 0.5 * hue, 0.1 * hue]),
+        dynamic=np.zeros(n, bool),
+        emissive=emissive,
+    )
+
+
+@pytest.mark.parametrize(
+    "emissive, transform, wall, least_db",
+    # Where the light starts has 10 to 20 dB. A grey wall is partly hidden; AgX shows saturated colours paler.
+    [(True, "Filmic", 0.3, 21.5), (True, "Standard", 0, 25.5), (False, "AgX", 0, 19.5)],
+)
+def test_a_flame_looks_as_its_renderer_draws_it(tmp_path, emissive, transform, wall, least_db):
+    g = flame(emissive)
+    g.save(tmp_path / "result.npz")
+    found = in_blender(SEEN, tmp_path, transform, wall, WIDTH, HEIGHT, FOCAL)
+    K = np.array([[FOCAL, 0, WIDTH / 2], [0, FOCAL, HEIGHT / 2], [0, 0, 1.0]])
+    front = np.array([[1.0, 0, 0, 0], [0, 0, -1, 0.3], [0, 1, 0, 3], [0, 0, 0, 1]])
+    camera = Camera("front", WIDTH, HEIGHT, K, front)
+    wanted = np.clip(render(g, camera, 0.0, background=np.full((HEIGHT, WIDTH, 3), wall, np.float32))["color"], 0, 1)
+    lit = np.abs(wanted - wall).max(-1) > 0.04
+    assert 0.1 < lit.mean() < 0.7
+    error = np.array(found["picture"])[lit] - wanted[lit]
+    assert -10 * np.log10((error**2).mean()) > least_db
