@@ -173,11 +173,11 @@ def _color(nodes: Nodes, given, velocity, age) -> bpy.types.NodeSocket:
     ramp = nodes.add(
         "ShaderNodeValToRGB", {"Fac": nodes.math("DIVIDE", nodes.math("SUBTRACT", value, given["Color Min"]), span)}
     )
-    for k, display in enumerate(VIRIDIS):
+    for k, shade in enumerate(VIRIDIS):
         place = k / (len(VIRIDIS) - 1)
         stop = ramp.color_ramp.elements[k] if k < 2 else ramp.color_ramp.elements.new(place)
         stop.position = place
-        stop.color = (*(((c + 0.055) / 1.055) ** 2.4 if c > 0.04045 else c / 12.92 for c in display), 1.0)
+        stop.color = (*(((c + 0.055) / 1.055) ** 2.4 if c > 0.04045 else c / 12.92 for c in shade), 1.0)
     mapped = nodes.math("MINIMUM", given["Color By"], 1.0)
     shown = nodes.choose("VECTOR", mapped, nodes.named("gs_light", "FLOAT_VECTOR"), ramp.outputs["Color"])
     light = nodes.vector("SCALE", shown, Scale=given["Emission"])
