@@ -74,9 +74,19 @@ def convert(
     try:
         notes = _written(imported, out, start_s, end_s, frame_time_s, time_s, into)
         beside.unlink(missing_ok=True)  # of a file that was there before
-        return notes if into is not None else notes + _keep_emissive(imported, out, start_s, end_s, frame_time_s)
+        if into is not None:
+            return notes
+        return [*notes, *_plates_left(imported, out), *_keep_emissive(imported, out, start_s, end_s, frame_time_s)]
     except NonFiniteError as e:
         raise DataFormatError(f"{out}: {e}; is the instant far from the result's times?") from e
+
+
+def _plates_left(imported: Imported, out: Path) -> list[str]:
+    """Say where a result's own plates stay, which `gof evaluate` and others look for beside it."""
+    plates = (imported.path if imported.path.is_dir() else imported.path.parent) / "plates"
+    if not plates.is_dir() or plates.resolve() == (out.parent / "plates").resolve():
+        return []
+    return [f"its own plates stay in {plates}; copy them to {out.parent / 'plates'}, or it is drawn over the dataset's"]
 
 
 def _written(

@@ -70,3 +70,18 @@ def test_convert_moves_a_result_into_a_datasets_world(tmp_path, tiny_dataset, ca
     for half in (["--align", str(tmp_path / "cameras.json")], ["--dataset", str(tiny_dataset)]):
         with pytest.raises(GofError, match="go together"):
             main([files[0], str(tmp_path / "x.npz"), *half])
+
+
+def test_plates_that_stay_behind_are_named(tmp_path, capsys):
+    """Beside another folder's file, `gof evaluate` would take the dataset's plates without a word."""
+    result = tmp_path / "mine" / "result.npz"
+    result.parent.mkdir()
+    random_gaussians(5).save(result)
+    main([str(result), str(tmp_path / "a.npz")])
+    assert "own plates" not in capsys.readouterr().out
+    (result.parent / "plates").mkdir()
+    main([str(result), str(tmp_path / "b.npz")])
+    shown = "".join(capsys.readouterr().out.split())  # lines break anywhere in a path
+    assert f"itsownplatesstayin{result.parent / 'plates'}" in shown and str(tmp_path / "plates") in shown
+    main([str(result), str(result.parent / "c.npz")])
+    assert "own plates" not in capsys.readouterr().out
