@@ -21,7 +21,8 @@ from gof.reconstruct.density import DensityControl
 from gof.reconstruct.methods import LAST_SHARE, LONGEST_HELD, Rates, cameras_extent
 from gof.reconstruct.needles import blunt, is_one_sided
 from gof.reconstruct.observation import Observation
-from gof.reconstruct.parameters import Raw, alight, from_raw, per_gaussian, splats, to_raw
+from gof.reconstruct.palette import find_palette
+from gof.reconstruct.parameters import Raw, alight, from_raw, per_gaussian, recolor, splats, to_raw
 from gof.reconstruct.surroundings import Drawn, Surroundings
 from gof.reconstruct.unseen import UnseenView, UnseenViews
 from gof.reconstruct.windows import Windows
@@ -38,6 +39,8 @@ CHECK_EVERY = 50  # steps between looks at the loss (a synchronisation) and at N
 CHECKPOINT_EVERY = 500
 UNSEEN_EVERY = 2  # steps; as good as in each, for a fifth less time
 BLUNT_EVERY = 250  # steps; of these, CHECKPOINT_EVERY is a multiple, so that a resumed run is the same
+RECOLOR_EVERY, PULL = 25, 0.3  # steps, likewise; share of a colour's way to the palette
+FREE = 1 / 8  # of the steps, the last ones, without: own pictures gain half of what it costs them
 EVALUATE_AT = (250, 500, 1000, 2000, 4000, 7000, 15_000, 30_000)  # and at the last step; the paper's are 1k, 7k, 30k
 
 
@@ -210,6 +213,8 @@ class Flame:
         # The loss is a mean over pixels, so gradients are tiny: epsilon must not be what sets the step.
         self.optimizer = Adam(lr=1.0, params=raw, beta_2=schedule.rates.beta_2, epsilon=1e-15, mask_updates=True)
         self.optimizer.set_learning_rate(rates)
+        self._palette = find_palette(observation) if schedule.color_of_light else None
+        self._recolored = (1 - FREE) * schedule.iterations
         extent = cameras_extent(self.cameras)
         self._density = (
             DensityControl(len(seeds), extent, self.voxel_size, self.start_s, schedule.iterations, schedule.seed)
@@ -250,11 +255,13 @@ class Flame:
             self._density.watch(step, frame, self.cameras[c], dr.width(self.optimizer["t_mu"]))
 
     def change(self, step: int) -> None:
-        """After a step: density control, where the method has it, and needles cut."""
+        """After a step: density control, where the method has it, needles cut, and colours drawn to the palette."""
         if self._density is not None:
             self._density.change(step, self.optimizer)
         if self._blunts and (step + 1) % BLUNT_EVERY == 0:
             self._blunt()
+        if self._palette is not None and (step + 1) % RECOLOR_EVERY == 0 and step < self._recolored:
+            self.optimizer["color_logit"] = recolor(self.optimizer, self._palette, PULL)
 
     def _blunt(self) -> None:
         """Cut needles along the rays; the moments stay, of shapes that are as they were but for a few."""

@@ -20,6 +20,7 @@ import numpy as np
 
 from gof.core.cameras import Camera
 from gof.core.gaussians import TransientGaussians
+from gof.reconstruct.palette import Palette
 from gof.reconstruct.seeds import SCALE_MAX, SCALE_MIN
 from gof.render import Splats, shutter_delay, transient_state
 from gof.render.backend import Array3f, Array4f, Float, floats, opaque
@@ -90,6 +91,18 @@ def splats(raw: Raw, voxel_size: float, time_s: float, camera: Camera) -> Splats
     position, opacity = _state(raw, voxel_size, time_s, camera)
     color = _color(raw)
     return Splats(position, raw["rotation"], _scale(raw, voxel_size), opacity, [color.x, color.y, color.z])
+
+
+def recolor(raw: Raw, palette: Palette, pull: float) -> Array3f:
+    """Return logits of colours that are by the share `pull` nearer to the palette's, see `Palette.find`.
+
+    raw: with "color_logit".
+    """
+    logit = rows(raw["color_logit"])
+    color = rows(_sigmoid(raw["color_logit"]))
+    brightest = color.max(1, keepdims=True)
+    wanted = _logit(palette.find(color) * brightest)
+    return columns(np.where(brightest > BLACK, logit + pull * (wanted - logit), logit).astype(np.float32), Array3f)
 
 
 def alight(raw: Raw, voxel_size: float, time_s: float, camera: Camera) -> np.ndarray:

@@ -1,0 +1,72 @@
+"""Colours that a clip's fire has: no Gaussian takes another one.
+
+Of Gaussians one behind another, cameras on one side see the sum. One may be green there where the next is red; from the
+side, both are seen.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.ndimage import distance_transform_edt, gaussian_filter
+
+from gof.core.colour import linear_to_srgb
+from gof.reconstruct.observation import Observation, light_above
+
+CELLS = 96  # along each side of the map of colours
+FAINT = 0.15  # display value of the brightest channel; noise colours what is darker
+RARE = 1e-3  # share of the flame's pixels that may have colours which are none of the fire's
+MOST_PICTURES = 200  # that are looked at, spread over the clip
+
+
+@dataclass(frozen=True)
+class Palette:
+    """A fire's colours, whatever their brightness.
+
+    Attributes:
+        nearest: (CELLS, CELLS, 2) int: of each cell of red and green over the sum of all three channels of display
+            values, the nearest one that the fire has; itself where the fire has it.
+    """
+
+    nearest: np.ndarray
+
+    def find(self, color: np.ndarray) -> np.ndarray:
+        """Return the fire's colour that is nearest to each of (N, 3) display values, its brightest channel 1; those
+        that the fire has are only brightened. Black is taken for blue."""
+        total = color.sum(1, keepdims=True)
+        cell = _cells(color)
+        own = self.nearest[tuple(cell.T)]
+        moved = (own != cell).any(1) | (total[:, 0] <= 0)
+        share = np.where(moved[:, None], _shares(own), color / np.where(total > 0, total, 1))
+        return (share / share.max(1, keepdims=True)).astype(np.float32)
+
+
+def find_palette(observation: Observation) -> Palette | None:
+    """Return the colours of a clip's flame, of its light alone without its plates'; None where nothing burns."""
+    delivered = np.argwhere(observation.delivered)
+    counts = np.zeros((CELLS, CELLS))
+    for f, c in delivered[:: -(-len(delivered) // MOST_PICTURES) or 1]:
+        light = light_above(observation.image[f, c], observation.plate[c])[observation.mask[f, c]]
+        shown = linear_to_srgb(light)
+        np.add.at(counts, tuple(_cells(shown[shown.max(1) > FAINT]).T), 1)
+    if not counts.any():
+        return None
+    counts = gaussian_filter(counts, 1.0)
+    most = np.sort(counts, axis=None)[::-1]
+    rarest = most[min(np.searchsorted(np.cumsum(most), (1 - RARE) * most.sum()), most.size - 1)]
+    of_fire = counts >= max(rarest, np.finfo(float).tiny)
+    cells = distance_transform_edt(~of_fire, return_distances=False, return_indices=True)
+    return Palette(np.moveaxis(cells, 0, -1))
+
+
+def _cells(color: np.ndarray) -> np.ndarray:
+    """Return the cell (N, 2) of each colour (N, 3)."""
+    total = np.maximum(color.sum(1, keepdims=True), np.finfo(np.float32).tiny)
+    return np.clip((color[:, :2] / total * CELLS).astype(int), 0, CELLS - 1)
+
+
+def _shares(cell: np.ndarray) -> np.ndarray:
+    """Return (N, 3) > 0 shares of the channels in the middle of each cell (N, 2)."""
+    two = (cell + 0.5) / CELLS
+    return np.column_stack([two, np.maximum(1 - two.sum(1), 0.5 / CELLS)])
