@@ -17,6 +17,7 @@ from gof.reconstruct.observation import Observation, light_above
 CELLS = 96  # along each side of the map of colours
 FAINT = 0.15  # display value of the brightest channel; noise colours what is darker
 RARE = 1e-3  # share of the flame's pixels that may have colours which are none of the fire's
+MARGIN = 4  # cells around the fire's colours that are its own, too: what lies nearer costs own pictures and motion
 MOST_PICTURES = 200  # that are looked at, spread over the clip
 
 
@@ -55,8 +56,9 @@ def find_palette(observation: Observation) -> Palette | None:
     counts = gaussian_filter(counts, 1.0)
     most = np.sort(counts, axis=None)[::-1]
     rarest = most[min(np.searchsorted(np.cumsum(most), (1 - RARE) * most.sum()), most.size - 1)]
-    of_fire = counts >= max(rarest, np.finfo(float).tiny)
-    cells = distance_transform_edt(~of_fire, return_distances=False, return_indices=True)
+    others = counts < max(rarest, np.finfo(float).tiny)
+    others = distance_transform_edt(others) > MARGIN
+    cells = distance_transform_edt(others, return_distances=False, return_indices=True)
     return Palette(np.moveaxis(cells, 0, -1))
 
 
