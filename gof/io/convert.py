@@ -38,7 +38,7 @@ def convert(
     """Write a result by suffix: .npz (exact), .ply (3DGS, time, velocity), .ftgs.ply, .4dgs, .tsog, .glb, .spz, .sog.
 
     A .usda, .usdc or a folder of 3DGS PLYs (a name without a suffix) holds a frame every `frame_time_s`. Where a format
-    has no place for it, OUT.gof.json says that a flame is emissive.
+    has no place for it, OUT.gof.json says that a flame is emissive, or alone.
 
     Returns what the format made of it, in words.
 
@@ -76,7 +76,7 @@ def convert(
         beside.unlink(missing_ok=True)  # of a file that was there before
         if into is not None:
             return notes
-        return [*notes, *_plates_left(imported, out), *_keep_emissive(imported, out, start_s, end_s, frame_time_s)]
+        return [*notes, *_plates_left(imported, out), *_keep_facts(imported, out, start_s, end_s, frame_time_s)]
     except NonFiniteError as e:
         raise DataFormatError(f"{out}: {e}; is the instant far from the result's times?") from e
 
@@ -133,23 +133,25 @@ def _written(
     return notes
 
 
-def _keep_emissive(
+def _keep_facts(
     imported: Imported, out: Path, start_s: float | None, end_s: float | None, frame_time_s: float | None
 ) -> list[str]:
-    """Write OUT.gof.json for an emissive flame in a format that cannot say so; returns notes on how it is drawn."""
+    """Write OUT.gof.json of what a format has no place for: that a flame is emissive, and that it is alone. Returns
+    notes, one of them on how an emissive one is drawn."""
     g = imported.gaussians
-    if not isinstance(g, TransientGaussians) or not g.emissive or out.suffix == ".npz":
-        return []
+    emissive = isinstance(g, TransientGaussians) and g.emissive
     timeless = out.suffix in ("", dgs.SUFFIX)
-    if not timeless and not out.name.endswith(".ftgs.ply"):
-        return [HAZIER]
+    unsaid = emissive and (timeless or out.name.endswith(".ftgs.ply"))
+    notes = [HAZIER] if emissive and out.suffix != ".npz" else []
+    if not unsaid and not imported.flame_only:
+        return notes
     said = ImportOptions(
         time_unit_s=None if out.suffix else frame_time_s,
-        time_zero_s=_clip(g, out, start_s, end_s)[0] if timeless else 0.0,
+        time_zero_s=_clip(g, out, start_s, end_s)[0] if timeless and isinstance(g, TransientGaussians) else 0.0,
         flame_only=imported.flame_only or bool(g.dynamic.all()),
-        emissive=True,
+        emissive=unsaid,
     )
-    return [HAZIER, f"{write_said(out, said).name} beside it tells gof what it cannot say itself: keep both together"]
+    return [*notes, f"{write_said(out, said).name} beside it tells gof what it cannot say itself: keep both together"]
 
 
 def _light_in(out: Path) -> str:

@@ -10,6 +10,7 @@ from gof.core.errors import DataFormatError, GofError
 from gof.core.trajectory import Trajectory
 from gof.dataset import Dataset
 from gof.io.importers import ImportOptions, read_result
+from gof.io.importers.sidecar import with_said
 from tests.conftest import random_gaussians
 from tests.io.motions import moved_camera, similarity, trained
 
@@ -85,3 +86,15 @@ def test_plates_that_stay_behind_are_named(tmp_path, capsys):
     assert f"itsownplatesstayin{result.parent / 'plates'}" in shown and str(tmp_path / "plates") in shown
     main([str(result), str(result.parent / "c.npz")])
     assert "own plates" not in capsys.readouterr().out
+
+
+@pytest.mark.parametrize("name", ["a.npz", "a.4dgs", "a.ply"])
+def test_a_flame_alone_stays_one(tmp_path, name):
+    """Another method's is drawn over the plates, as its author said, in whatever file it is kept."""
+    path, _ = lookalikes.authors(tmp_path / "model")
+    out = tmp_path / name
+    assert main([str(path), str(out), "--flame-only"]) == 0
+    options, _ = with_said(out, ImportOptions())
+    assert options.flame_only and read_result(out, options).flame_only
+    assert main([str(path), str(out), "--overwrite"]) == 0, "and no longer where it is not said"
+    assert not with_said(out, ImportOptions())[0].flame_only
