@@ -86,7 +86,8 @@ class Generation:
         self._begun: dict[str, float] = {}  # stage -> clock when its first task began
         self._now = now
         self._expected = predict_here(spec, now).by_stage
-        self._whole = not layout.bake_marker.exists() and not layout.pictures()  # nothing was made before
+        # Nothing was made before, here or in a dataset whose fire this is.
+        self._whole = not (layout.bake_marker.exists() or layout.lent.exists() or layout.pictures())
         self._cpu_s: dict[str, float] = {}  # of all processes of a stage
 
     def run(self) -> None:

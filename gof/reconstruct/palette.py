@@ -1,7 +1,7 @@
 """Colours that a clip's fire has: no Gaussian takes another one.
 
-Of Gaussians one behind another, cameras on one side see the sum. One may be green there where the next is red; from the
-side, both are seen.
+Cameras on one side see the sum of Gaussians that lie one behind another: a green one and a red one look orange. From
+the side, both are seen.
 """
 
 from __future__ import annotations

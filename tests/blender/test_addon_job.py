@@ -19,7 +19,8 @@ PYTHON = [sys.executable, "-c"]
 
 
 @pytest.mark.blender
-def test_a_stopped_job_goes_on(tmp_path):
+def test_a_stopped_job_goes_on(tmp_path, monkeypatch):
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))  # runs of this machine say nothing of how far it is
     layout = Layout(tmp_path / "stopped")
     layout.claim(TOY)
     job, fractions = Job(TOY, layout, PYTHON), [0.0]

@@ -13,6 +13,7 @@ import pytest
 from gof.core.errors import GofError
 from gof.core.fields import VelocitySequence
 from gof_benchmark.commands.generate import main as generate_command
+from gof_benchmark.generator import graph
 from gof_benchmark.generator.blender_process import run_stage
 from gof_benchmark.scenes import claim
 from gof_blender.pure import spec as scene_spec
@@ -65,7 +66,7 @@ def test_a_longer_clip_begins_as_the_short_one(tmp_path):
 
 
 @pytest.mark.blender
-def test_a_fire_of_another_dataset_seen_anew_is_the_dataset_made_from_nothing(tmp_path):
+def test_a_fire_of_another_dataset_seen_anew_is_the_dataset_made_from_nothing(tmp_path, monkeypatch):
     """Other cameras, surroundings and samples: pictures and velocity equal to the bit, the first dataset removed."""
     pytest.importorskip("bpy", reason="the generator needs the bpy wheel")
     first = replace(TOY, clip=Clip(3, 60, 14))
@@ -85,8 +86,11 @@ def test_a_fire_of_another_dataset_seen_anew_is_the_dataset_made_from_nothing(tm
     claim(layout, seen_anew)
     layout.take_fire_of(Layout(tmp_path / "first"), seen_anew)
     shutil.rmtree(tmp_path / "first")
+    learned = []
+    monkeypatch.setattr(graph, "learn", lambda spec, cpu_s: learned.append(cpu_s))
     for name in ("lent", "direct"):
         generate(tmp_path, "anew", name)
+    assert len(learned) == 1, "a bake that was taken over tells nothing of how long one takes"
     assert not list(layout.hidden.glob("lent*")) and Layout(tmp_path / "direct").bake_marker.is_file()
     pictures = [path.relative_to(layout.root) for path in layout.root.rglob("*.png")]
     assert len(pictures) >= 3 * 3 * 2
