@@ -1,4 +1,4 @@
-"""Colours that a clip's fire has: no Gaussian takes another one.
+"""Colours that a clip's fire has: Gaussians are drawn to them.
 
 Cameras on one side see the sum of Gaussians that lie one behind another: a green one and a red one look orange. From
 the side, both are seen.
