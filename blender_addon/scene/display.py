@@ -130,10 +130,11 @@ def _pictures(cloud: GaussianCloud) -> Iterator[_Picture]:
 
 def _slices(cloud: GaussianCloud, first: np.ndarray, last: np.ndarray) -> tuple[np.ndarray, float]:
     """Return the number of the time slice (N,) in whose middle each Gaussian is brightest, and the slices' length."""
-    bounded = np.isfinite(first)
+    bounded = np.isfinite(first) & np.isfinite(last)
     if not bounded.any():
         return np.zeros(len(cloud)), 1.0
-    middle = np.where(bounded, cloud.t_mu if cloud.begin is None else (first + last) / 2, 0.0)
+    middle = np.zeros(len(cloud))
+    middle[bounded] = (cloud.t_mu if cloud.begin is None else (first + last) / 2)[bounded]
     length = max(2 / 7 * float(np.median((last - first)[bounded])), float(np.ptp(middle[bounded])) / MOST_SLICES, 1e-9)
     return np.round(middle / length), length
 

@@ -24,7 +24,7 @@ VECTORS = ("velocity", "true velocity", "error")
 ICOSAHEDRON_RADIUS = EXTENT / 0.7947  # its faces touch the ball of EXTENT; the material does the rounding
 CUT_OFF = 1 / 255  # opacity below which a Gaussian is not visible in an 8-bit picture
 
-KEPT = ("gs_t_mu", "gs_inverse_t_sigma", "gs_opacity", "gs_light", "gs_emissive", "gs_display")  # not to be drawn
+SPENT = ("gs_t_mu", "gs_inverse_t_sigma", "gs_opacity", "gs_light", "gs_emissive", "gs_display")  # nothing drawn needs them
 # Attributes that no material asks for once a line has its shape and color.
 SHAPES = ("gs_scale", "gs_euler", "gs_velocity", "gs_gas_velocity", "gs_true_velocity", "gs_velocity_sd")
 
@@ -118,7 +118,7 @@ def _write(nodes: Nodes) -> None:
     points = nodes.add(
         "GeometryNodeSetPosition", {"Geometry": points, "Offset": nodes.vector("SCALE", velocity, Scale=age)}
     ).outputs[0]
-    points = _without(nodes, points, *KEPT)
+    points = _without(nodes, points, *SPENT)
     lines = gaussian_material.lines(f"{NAME} Lines"), gaussian_material.lines(f"{NAME} Line Instances", "INSTANCER")
     nodes.add(
         "NodeGroupOutput",

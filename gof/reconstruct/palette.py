@@ -27,7 +27,7 @@ class Palette:
 
     Attributes:
         nearest: (CELLS, CELLS, 2) int: of each cell of red and green over the sum of all three channels of display
-            values, the nearest one that the fire has; itself where the fire has it.
+            values, the nearest one within MARGIN of the fire's; itself where it is one.
     """
 
     nearest: np.ndarray
