@@ -24,7 +24,8 @@ VECTORS = ("velocity", "true velocity", "error")
 ICOSAHEDRON_RADIUS = EXTENT / 0.7947  # its faces touch the ball of EXTENT; the material does the rounding
 CUT_OFF = 1 / 255  # opacity below which a Gaussian is not visible in an 8-bit picture
 
-SPENT = ("gs_t_mu", "gs_inverse_t_sigma", "gs_opacity", "gs_light", "gs_emissive", "gs_display")  # nothing drawn needs them
+# Attributes that nothing drawn needs.
+SPENT = ("gs_t_mu", "gs_inverse_t_sigma", "gs_opacity", "gs_light", "gs_emissive", "gs_display")
 # Attributes that no material asks for once a line has its shape and color.
 SHAPES = ("gs_scale", "gs_euler", "gs_velocity", "gs_gas_velocity", "gs_true_velocity", "gs_velocity_sd")
 
