@@ -7,6 +7,7 @@ import bpy
 HAS_DROP = hasattr(bpy.types, "FileHandler")  # files dropped on a window: 4.1 and later
 EEVEE_DRAWS_POINTS = "surface_render_method" in bpy.types.Material.bl_rna.properties
 """EEVEE of 4.2 and later; that of 3.4 draws none, and those between were not tried."""
+HAS_SPLATS = hasattr(bpy.types, "GeometryNodePointsSetType")  # Gaussian splats of Blender's own: 5.3 and later
 BLEND_PATH = {"PATH_SUPPORTS_BLEND_RELATIVE"} if bpy.app.version >= (4, 5) else set()
 """Options of a path that may begin with //; since 4.5 one without them warns."""
 LINEAR_COLOR_SPACES = ("Linear Rec.709", "Linear")  # the second up to 3.6
@@ -89,17 +90,6 @@ def see_through(material: bpy.types.Material) -> None:
         material.surface_render_method = "DITHERED"
     else:
         material.blend_method = "HASHED"
-
-
-def splat_type() -> tuple[str, str] | None:
-    """Property of a point cloud and its value that make Gaussian splats of it, as Blender 5.3 has; None before."""
-    if not has_function("PointCloud", "resize"):
-        return None
-    for prop in bpy.types.PointCloud.bl_rna.properties:
-        for item in prop.enum_items if prop.type == "ENUM" else ():
-            if "SPLAT" in item.identifier.upper():
-                return prop.identifier, item.identifier
-    return None
 
 
 def align_node(tree: bpy.types.NodeTree) -> bpy.types.Node:

@@ -11,13 +11,15 @@ from __future__ import annotations
 
 import bpy
 
+from ..core.harmonics import C0
 from . import compat, display, gaussian_material
 from .gaussian_material import EXTENT
 from .nodes import Nodes, pick
 
 NAME = "Transient Gaussians"
-LAYOUT = 4  # raise it when the group changes: clouds of an older add-on keep their own node group
-MODES = ("points", "ellipsoids", "arrows", "streaks")
+# Raise both when the group changes: clouds of an older add-on, or of a Blender without splats, keep their own.
+LAYOUT = 6 if compat.HAS_SPLATS else 5
+MODES = ("points", "ellipsoids", "arrows", "streaks", "splats")[: 5 if compat.HAS_SPLATS else 4]
 QUICK = "points" if compat.EEVEE_DRAWS_POINTS else "ellipsoids"  # the quickest that every view draws
 COLORS = ("image", "speed", "age", "lifetime", "error", "uncertainty")
 VECTORS = ("velocity", "true velocity", "error")
@@ -31,7 +33,7 @@ SHAPES = ("gs_scale", "gs_euler", "gs_velocity", "gs_gas_velocity", "gs_true_vel
 
 FLOAT, WHOLE = "NodeSocketFloat", "NodeSocketInt"
 INPUTS = (  # name, kind, default, least, largest, description
-    ("Mode", WHOLE, 0, 0, 3, "0 points, 1 ellipsoids, 2 arrows, 3 streaks"),
+    ("Mode", WHOLE, 0, 0, len(MODES) - 1, ", ".join(f"{number} {mode}" for number, mode in enumerate(MODES))),
     ("Start Frame", FLOAT, 1.0, -1e6, 1e6, "Scene frame that is time 0 of the reconstruction"),
     ("Time Scale", FLOAT, 1.0, -1e3, 1e3, "1 plays as fast as it was filmed, 0.1 ten times slower"),
     ("Opacity Cut", FLOAT, CUT_OFF, 0.0, 1.0, "Gaussians fainter than this are not drawn"),
@@ -135,6 +137,7 @@ def _write(nodes: Nodes) -> None:
                 _ellipsoids(nodes, points),
                 _lines(nodes, _arrows(nodes, points, given), *lines),
                 _lines(nodes, _streaks(nodes, points, given, velocity), *lines),
+                *([_splats(nodes, points)] if compat.HAS_SPLATS else []),
             )
         },
     )
@@ -238,6 +241,29 @@ def _around(nodes: Nodes, points) -> bpy.types.NodeSocket:
     points = nodes.add("GeometryNodeSetPointRadius", {"Points": points, "Radius": radius}).outputs[0]
     points = nodes.store(points, "gs_center", "FLOAT_VECTOR", nodes.add("GeometryNodeInputPosition").outputs[0])
     return _dressed(nodes, points, gaussian_material.ellipsoids_in_points(f"{NAME} Ellipsoids in Points"))
+
+
+def _splats(nodes: Nodes, points) -> bpy.types.NodeSocket:
+    """Return Blender's own Gaussian splats: points with certain attributes.
+
+    Cycles takes a splat's colour for display sRGB, also above 1, and blends its linear light.
+    """
+    light = nodes.vector("MAXIMUM", nodes.named("gs_color", "FLOAT_COLOR"), (0.0, 0.0, 0.0))
+    faint, bright = nodes.vector("MINIMUM", light, (0.0031308,) * 3), nodes.vector("MAXIMUM", light, (0.0031308,) * 3)
+    # sRGB is 12.92 light up to there, where both parts are 0.04045, and 1.055 light^(1 / 2.4) - 0.055 from there on.
+    power = nodes.vector("SCALE", nodes.vector("POWER", bright, (1 / 2.4,) * 3), Scale=1.055)
+    shown = nodes.vector("ADD", nodes.vector("SCALE", faint, Scale=12.92), power)
+    radiance = nodes.vector("SCALE", nodes.vector("SUBTRACT", shown, (0.055 + 0.04045 + 0.5,) * 3), Scale=1 / C0)
+    sides = nodes.add("ShaderNodeSeparateXYZ", {"Vector": radiance}).outputs
+    color = {"Red": sides[0], "Green": sides[1], "Blue": sides[2], "Alpha": nodes.named("gs_alpha", "FLOAT")}
+    turn = nodes.add("FunctionNodeEulerToRotation", {"Euler": nodes.named("gs_euler", "FLOAT_VECTOR")}).outputs[0]
+    points = nodes.store(points, "scale", "FLOAT_VECTOR", nodes.named("gs_scale", "FLOAT_VECTOR"))
+    points = nodes.store(points, "rotation", "QUATERNION", turn)
+    # Nodes cannot store its own type, FLOAT4; Cycles takes this one.
+    base = nodes.add("FunctionNodeCombineColor", color).outputs[0]
+    points = nodes.store(points, "radiance:base", "FLOAT_COLOR", base)
+    points = _without(nodes, points, *SHAPES, "gs_color", "gs_alpha")
+    return nodes.add("GeometryNodePointsSetType", {"Points": points, "Type": "3D Gaussian Splat"}).outputs[0]
 
 
 def _arrows(nodes: Nodes, points, given) -> bpy.types.NodeSocket:

@@ -48,6 +48,10 @@ class CloudInputs:
         """Owner and property, for layouts."""
         return compat.modifier_value(self.modifier, self._sockets[name].identifier)
 
+    def largest(self, name: str) -> float:
+        """Return the greatest value that the node group knows."""
+        return self._sockets[name].max_value
+
     def path(self, name: str) -> str:
         """Return path from the object, for drivers and keyframes."""
         return compat.modifier_path(self.modifier, self._sockets[name].identifier)
@@ -98,6 +102,16 @@ def add_view(mesh: bpy.types.Mesh, name: str) -> bpy.types.Object:
     thing.visible_shadow = False  # fire casts no shadow
     add_modifier(thing, gaussian_nodes.NAME, gaussian_nodes.node_group())
     return thing
+
+
+def show_as(thing: bpy.types.Object, mode: str) -> None:
+    """Show a cloud as one of `gaussian_nodes.MODES`. One of a Blender without splats gets today's node group for
+    these."""
+    settings, number = inputs(thing), gaussian_nodes.MODES.index(mode)
+    if number > settings.largest("Mode"):
+        settings.modifier.node_group = gaussian_nodes.node_group()
+        settings = inputs(thing)
+    settings["Mode"] = number
 
 
 def add_modifier(thing: bpy.types.Object, name: str, group: bpy.types.NodeTree) -> CloudInputs:

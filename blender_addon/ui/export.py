@@ -13,7 +13,7 @@ from ..core.errors import DataFormatError, GofError
 from ..pure import voxels
 from ..pure.io import usd_points, vdb_file
 from ..pure.io.cloud import GaussianCloud
-from ..scene import compat, exchange, native_splats, point_cloud
+from ..scene import compat, exchange, point_cloud
 from .panel import number
 
 FINENESS = 96  # voxels along the longest side, where no size is given
@@ -198,32 +198,4 @@ def _with_progress(recording: Recording) -> Iterator[tuple[int, float]]:
         manager.progress_end()
 
 
-# ----------------------------------------------------------------
-# The active cloud as Blender's own Gaussian splats, where the version has them.
-
-
-class GOF_OT_native_splats(bpy.types.Operator):
-    """Add the selected reconstruction as Blender's own Gaussian splats, which move and need no add-on"""
-
-    bl_idname = "gof.native_splats"
-    bl_label = "As Blender's Splats"
-    bl_options = {"UNDO"}
-
-    @classmethod
-    def poll(cls, context):
-        return compat.splat_type() is not None and point_cloud.inputs(context.object) is not None
-
-    def execute(self, context):
-        thing = context.object
-        try:
-            cloud = Recording.of(context.scene, thing).cloud
-            copy = native_splats.add(cloud, f"{thing.name} Splats", point_cloud.inputs(thing))
-        except (GofError, OSError, RuntimeError, TypeError, MemoryError) as error:
-            self.report({"ERROR"}, str(error) or "not enough memory")
-            return {"CANCELLED"}
-        copy.matrix_world = thing.matrix_world
-        self.report({"INFO"}, f"{len(cloud):,} splats")
-        return {"FINISHED"}
-
-
-CLASSES = (GOF_OT_export_vdb, GOF_OT_export_points, GOF_OT_native_splats)
+CLASSES = (GOF_OT_export_vdb, GOF_OT_export_points)

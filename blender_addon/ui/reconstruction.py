@@ -19,7 +19,8 @@ MODES = [
     ("ellipsoids", "Ellipsoids", "The Gaussians' true shapes"),
     ("arrows", "Arrows", "Velocity of the gas"),
     ("streaks", "Streaks", "The way just travelled, as sparks leave it"),
-]
+    ("splats", "Splats", "Gaussian splats of Blender's own"),
+][: len(gaussian_nodes.MODES)]
 COLORS = [
     ("image", "Image Color", "As in the footage"),
     ("speed", "Speed", "Speed of the gas, m/s"),
@@ -52,6 +53,8 @@ def _enum(socket: str, choices: tuple[str, ...], items: list, **annotations):
         cloud = point_cloud.inputs(thing)
         if cloud is None:
             _say("Select a reconstruction first")
+        elif socket == "Mode":
+            point_cloud.show_as(thing, choices[number])
         elif socket != "Color By":
             cloud[socket] = number
         elif problem := point_cloud.why_not_color(thing.data, choices[number]):
@@ -305,8 +308,6 @@ class GOF_PT_reconstruction(SidebarPanel, bpy.types.Panel):
         column = layout.column(align=True)
         column.operator("gof.export_vdb", icon="EXPORT", text="Export OpenVDB...")
         column.operator("gof.export_points", icon="EXPORT", text="Export Points...")
-        if compat.splat_type():
-            column.operator("gof.native_splats", icon="POINTCLOUD_DATA")
 
     @staticmethod
     def _warn(context, layout, mode: str) -> None:

@@ -1,6 +1,7 @@
 """A toy scene, and scripts run in a Blender process of their own."""
 
 import json
+import os
 import subprocess
 import sys
 import tempfile
@@ -23,12 +24,20 @@ TOY = SceneSpec(
 )
 
 
-def in_blender(script: str, *args) -> dict:
-    """Run a script in its own Blender process; it puts its findings into ``result``."""
+ADDON = Path(__file__).resolve().parents[2] / "blender_addon"
+
+
+def in_blender(script: str, *args, python: str = sys.executable) -> dict:
+    """Run a script in its own Blender process, of this or of another Python; it puts its findings into ``result``."""
     code = "import json, sys, bpy\nfrom gof_blender.scene import mantaflow\nresult = {}\n" + textwrap.dedent(script)
     code += "\nprint('RESULT' + json.dumps(result))\nmantaflow.leave()"
     with tempfile.TemporaryDirectory() as folder:  # Mantaflow leaves files where it runs
-        run = subprocess.run([sys.executable, "-c", code, *map(str, args)], capture_output=True, text=True, cwd=folder)
+        command, environment = [python, "-c", code, *map(str, args)], dict(os.environ)
+        if python != sys.executable:
+            (Path(folder) / "gof_blender").symlink_to(ADDON)
+            command[1:1] = ["-W", "error::DeprecationWarning:gof_blender"]
+            environment["PYTHONPATH"] = folder
+        run = subprocess.run(command, capture_output=True, text=True, cwd=folder, env=environment)
     assert run.returncode == 0, run.stderr
     return json.loads(next(line for line in run.stdout.splitlines() if line.startswith("RESULT"))[6:])
 
