@@ -132,7 +132,7 @@ def test_whoever_lacks_blender_is_told_before_anything_begins(tmp_path, monkeypa
     monkeypatch.setattr(extras.importlib.util, "find_spec", lambda name: None)
     assert main(["generate", "demo", "--preset", "toy", "--out", str(tmp_path / "out")]) == 1
     assert (
-        'making a dataset needs bpy: pip install "gaussians-on-fire[blender]" with Python 3.11'
+        'making a dataset needs bpy: pip install "gaussians-on-fire[blender]" with Python 3.11 or 3.13'
         in capsys.readouterr().err
     )
 

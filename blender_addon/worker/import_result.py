@@ -162,6 +162,7 @@ def run(args: argparse.Namespace) -> None:
     """Check everything that can be wrong, then build, save and render. Raises DataFormatError that names the remedy."""
     outputs = [path for path in (args.blend, args.preview) if path is not None]
     _check_outputs(outputs, args.overwrite)
+    _check_mode(args.mode)
     cloud = clouds.load(args.result)
     scene = read_scene(args.dataset, cloud.datum or Datum())
     _check_view(args, scene)
@@ -186,6 +187,15 @@ def _check_outputs(outputs: list[Path], overwrite: bool) -> None:
         raise DataFormatError(f"{existing[0]}: exists already; delete it or pass --overwrite")
 
 
+def _check_mode(mode: str) -> None:
+    import bpy
+
+    from ..scene import gaussian_nodes
+
+    if mode not in gaussian_nodes.MODES:
+        raise DataFormatError(f"--mode {mode}: Blender {bpy.app.version_string} has no Gaussian splats; 5.3 has")
+
+
 def _check_view(args: argparse.Namespace, scene: GeneratedScene | CapturedScene) -> None:
     last, names = scene.frames - 1, scene.cameras
     if not 0 <= args.frame <= last:
@@ -205,7 +215,7 @@ def main(argv: list[str] | None = None) -> int:
     parser.add_argument("--preview", type=Path, help="PNG to render one frame to")
     parser.add_argument("--frame", type=int, default=0, help="dataset frame of the preview and of the saved scene")
     parser.add_argument("--camera", default="cam_0", help="rig camera of the preview")
-    parser.add_argument("--mode", choices=("ellipsoids", "points"), default="ellipsoids", help="points render faster")
+    parser.add_argument("--mode", choices=("ellipsoids", "points", "splats"), default="ellipsoids", help="shapes")
     parser.add_argument("--samples", type=int, help="Cycles samples of the preview; default: the dataset's own")
     parser.add_argument("--overwrite", action="store_true", help="replace existing output files")
     args = parser.parse_args(argv)

@@ -12,6 +12,7 @@ import platform
 import re
 import shutil
 import subprocess
+import sys
 from collections.abc import Callable
 from dataclasses import dataclass
 from importlib.metadata import entry_points
@@ -89,7 +90,7 @@ def check_system() -> Outcome:
 
 
 def check_packages() -> Outcome:
-    """Return versions of what scoring, importing, rendering and reconstructing need; numpy 2 breaks bpy."""
+    """Return versions of what scoring, importing, rendering and reconstructing need; numpy 2 breaks bpy for Python 3.11."""
     found, missing = {}, []
     for name in PACKAGES:
         try:
@@ -98,7 +99,7 @@ def check_packages() -> Outcome:
             missing.append(name)
     if missing:
         return "broken", f"not installed: {', '.join(missing)}. Run: pip install gaussians-on-fire"
-    if not found["numpy"].startswith("1.") and importlib.util.find_spec("bpy"):
+    if not found["numpy"].startswith("1.") and sys.version_info < (3, 12) and importlib.util.find_spec("bpy"):
         return "broken", f"numpy {found['numpy']}; bpy 4.5 needs numpy below 2. Run: pip install 'numpy>=1.26.4,<2'"
     return "ok", ", ".join(f"{name.split('-')[0]} {version}" for name, version in found.items())
 

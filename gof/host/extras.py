@@ -10,7 +10,7 @@ from types import ModuleType
 
 from gof.core.errors import MissingDependencyError
 
-WITH = {"blender": " with Python 3.11"}  # bpy 4.5 exists for no other
+WITH = {"blender": " with Python 3.11 or 3.13"}  # which bpy 4.5 and 5.3 are made for
 
 
 def command(extra: str) -> str:
