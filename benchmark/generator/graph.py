@@ -87,7 +87,7 @@ class Generation:
         self._now = now
         self._expected = predict_here(spec, now).by_stage
         # Nothing was made before, here or in a dataset whose fire this is.
-        self._whole = not (layout.bake_marker.exists() or layout.lent.exists() or layout.pictures())
+        self._whole = not (layout.bake.exists() or layout.lent.exists() or layout.pictures())
         self._cpu_s: dict[str, float] = {}  # of all processes of a stage
 
     def run(self) -> None:
@@ -97,8 +97,7 @@ class Generation:
             GofError: a stage failed; what was finished is kept.
         """
         try:
-            # A bake that was cut off starts over, so that pictures may follow only a bake of this very run.
-            self._simulate_and_render(fresh_bake=not self._layout.bake.exists())
+            self._simulate_and_render()
             stages = ["video"] if any(map(effects.encodes, self._spec.effects)) else []
             stages += ["flow"] if "flow" in self._spec.ground_truth else []
             for stage in [*stages, "finish"]:
@@ -111,8 +110,8 @@ class Generation:
                 future.cancel()
             self._workers.leave(self._root)
 
-    def _simulate_and_render(self, fresh_bake: bool) -> None:
-        spec = self._spec
+    def _simulate_and_render(self) -> None:
+        spec, before = self._spec, self._bake_began()
         baked = self._layout.bake_marker.is_file()
         if not baked:
             self._submit("bake", _stage, "bake")
@@ -122,7 +121,9 @@ class Generation:
         with progress_bar("generate", left=left) as update:
             while waiting or truth_pending or self._running:
                 baked = self._layout.bake_marker.is_file()
-                while waiting and (baked or (fresh_bake and self._is_ready(waiting[0][0]))):
+                # What a bake of before has left may be removed by this run's: pictures wait until that has begun.
+                begun = baked or self._bake_began() != before
+                while waiting and (baked or (begun and self._is_ready(waiting[0][0]))):
                     if not self._has_plates() and "render" in self._running.values():
                         break  # the renderer of the first picture makes the plates; a second one would make them too
                     frame, camera = waiting.pop(0)
@@ -133,6 +134,11 @@ class Generation:
                 self._collect()
                 update(*self._progress(), share=self._share())
                 time.sleep(POLL_S)
+
+    def _bake_began(self) -> int:
+        """Return when a bake last began or went on, ns of the file system's clock; 0: never."""
+        note = self._layout.bake_begun
+        return note.stat().st_mtime_ns if note.is_file() else 0
 
     def _has_plates(self) -> bool:
         return all(self._layout.static_exr(name).is_file() for name in self._spec.cameras.names)
@@ -192,8 +198,8 @@ class Generation:
         last = self._spec.timeline.last_frame
         if self._layout.bake_marker.is_file():
             self._steps = last
-        while self._steps < last and self._layout.cached_velocity(self._steps + 1).is_file():
-            self._steps += 1
+        if self._steps < last:
+            self._steps = min(self._layout.newest_step(), last)
         return self._steps + self._plates + self._rendered, last + pictures
 
     def _share(self) -> float:

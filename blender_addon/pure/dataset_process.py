@@ -51,7 +51,7 @@ def expected_s(spec: SceneSpec, prediction: cost_model.Prediction) -> dict[str, 
 def left_s(spec: SceneSpec, layout: Layout, expected: dict[str, float]) -> dict[str, float]:
     """Return those of the expected seconds that a dataset still needs that was begun in the folder."""
     if not layout.bake_marker.is_file():
-        return expected  # an unfinished bake starts over, and what was rendered of it is the same again
+        return expected | {"bake": expected["bake"] * max(1 - layout.newest_step() / spec.timeline.last_frame, 0.0)}
     missing = max(1 - layout.pictures() / len(spec.pictures), 0.0)
     return expected | {"bake": 0.0, "render": expected["render"] * missing}
 
@@ -63,14 +63,12 @@ class Job:
         stage: the stage that runs, "" before the first and after the last.
         fraction: expected share of the work that is done, 0..1.
         seconds_left: by the rule of `core.time_left`.
-        keeps_bake: asked to end, and waiting for the bake, which would otherwise start over.
     """
 
     def __init__(self, spec: SceneSpec, layout: Layout, python: list[str]):
         """``python``: a command that runs the Python code given as its next argument, in a Blender without a window."""
         self.spec, self.layout = spec, layout
         self.stage = ""
-        self.keeps_bake = False
         self._python = python
         self._expected = expected_s(spec, cost_model.predict_here(spec))
         self._pace = TimeLeft(self._expected)
@@ -88,20 +86,14 @@ class Job:
         return max(1.0 - (now + self._later()) / total, 0.0)  # sums in another order differ by a rounding
 
     @property
-    def share(self) -> float:
-        """Done of this stage, 0..1."""
-        return self._said.share
-
-    @property
     def seconds_left(self) -> float:
         return self._left_here() + self._pace.slowness * self._later()
 
     def __str__(self) -> str:
-        left = duration(self._left_here() if self.keeps_bake else self.seconds_left)
+        left = duration(self.seconds_left)
         if not self._said.total:
             return f"{self.stage or 'ready'} starts, about {left} left"
-        text = f"{self.stage} {self._said.done} of {self._said.total}{UNITS.get(self.stage, '')}, {left} left"
-        return f"{text}, then it stops" if self.keeps_bake else text
+        return f"{self.stage} {self._said.done} of {self._said.total}{UNITS.get(self.stage, '')}, {left} left"
 
     def poll(self) -> bool:
         """Take note of progress and go on to the next stage. Returns whether there is more to do.
@@ -115,15 +107,12 @@ class Job:
             if status is None:
                 return True
             self._end_of_stage(status)
-        while self._waiting and not self._is_kept():
+        while self._waiting:
             self.stage = self._waiting.pop(0)
             if not self._is_finished():
                 self._begin()
                 return True
         self.stage = ""
-        if self._waiting:
-            self._note("stopped after the bake")
-            return False
         write_page(self.layout)
         self._note(f"finished: {self.layout.description}")
         return False
@@ -136,10 +125,6 @@ class Job:
         finally:
             self.stop()
 
-    def stop_after_bake(self) -> None:
-        """End as soon as the bake is finished, so that none of it is lost; nothing changes once it is."""
-        self.keeps_bake = self.stage == "bake"
-
     def stop(self) -> None:
         """End the child, if one runs; what it has finished stays."""
         if self._process is not None:
@@ -147,9 +132,6 @@ class Job:
             self._process.wait()
             self._process = None
             self._note(f"stopped in {self.stage}")
-
-    def _is_kept(self) -> bool:
-        return self.keeps_bake and self.layout.bake_marker.is_file()
 
     def _is_finished(self) -> bool:
         done = {"bake": self.layout.bake_marker, "finish": self.layout.description}.get(self.stage)

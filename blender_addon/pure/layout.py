@@ -15,6 +15,10 @@ from .spec import SceneSpec
 WHAT_BURNS = "seed", "clip", "domain", "fire", "effects"
 """Fields of a spec on which its fire depends, or the flame's look; not cameras, surroundings and quality."""
 
+DRAWN = ("density", "shadow", "flame", "heat", "vel", "color_r", "color_g", "color_b")
+"""Grids of a solver's step that pictures and truth read; from the others, which are its state, a bake goes on."""
+STATES = 3  # newest steps whose state is kept
+
 CUT_OFF = 0.05  # of the light of the widest section, from which a flame counts as cut off by the domain's side
 
 
@@ -105,6 +109,11 @@ class Layout:
         return self.hidden / "bake-finished.json"
 
     @property
+    def bake_begun(self) -> Path:
+        """Return the note of which Blender began the bake, written again whenever it begins or goes on."""
+        return self.hidden / "bake-begun.json"
+
+    @property
     def lent(self) -> Path:
         """Return the finished bake's marker of another dataset, whose fire this one takes over (`take_fire_of`)."""
         return self.hidden / "lent-fire.json"
@@ -112,6 +121,36 @@ class Layout:
     def cached_velocity(self, blender_frame: int) -> Path:
         """Cache file that our solver writes last in a step."""
         return self.bake / "data" / f"vel_{blender_frame:04d}.uni"
+
+    def newest_step(self) -> int:
+        """Return the newest step of our solver that is in the cache, 0 without one; those before it are complete."""
+        return max((int(path.stem[4:]) for path in self.bake.glob("data/vel_*.uni")), default=0)
+
+    def go_on_after(self, blender: str) -> int:
+        """Return the step after which an unfinished bake goes on, with what came later removed; 0: it starts over.
+
+        Args:
+            blender: version that bakes. No fire is of two.
+        """
+        step = self.newest_step() - 1
+        same = self.bake_begun.is_file() and read_json(self.bake_begun).get("blender") == blender
+        if step < 1 or not same or not self.blend.is_file():
+            return 0
+        for path in self.bake.rglob("*_[0-9]*.*"):
+            if _step_of(path) > step:
+                path.unlink()
+        return step
+
+    def prune_bake(self, needed: range, finished: bool = False) -> None:
+        """Remove from the cache of our solver what nothing reads: state of steps, and steps before `needed`.
+
+        The newest steps keep theirs until the bake is finished.
+        """
+        old = self.newest_step() - (0 if finished else STATES)
+        for path in self.bake.glob("data/*_[0-9]*.uni"):
+            step = _step_of(path)
+            if step <= old and (step < needed.start or path.stem.rpartition("_")[0] not in DRAWN):
+                path.unlink(missing_ok=True)
 
     def step_grids(self, blender_frame: int) -> Path:
         """Return the file of a fire of grids that Cycles renders in a step."""
@@ -251,6 +290,12 @@ class Layout:
         kinds = self.PATTERNS | {"static": self.STATIC}
         kinds |= ({"flow": self.FLOW} if with_flow else {}) | ({"board_mask": self.BOARD_MASK} if with_board else {})
         return {kind: pattern.replace("{camera}", camera) for kind, pattern in kinds.items()}
+
+
+def _step_of(path: Path) -> int:
+    """Return the step that a file of a solver's cache belongs to, the number at the end of its name; 0 without one."""
+    number = path.stem.rpartition("_")[2]
+    return int(number) if number.isdigit() else 0
 
 
 def _link_or_copy(source: str, target: str) -> None:

@@ -35,21 +35,25 @@ def keep_for_dataset(settings: bpy.types.FluidDomainSettings) -> None:
     """Bake all at once, into the dataset's own cache folder."""
     settings.cache_type = "ALL"
     settings.cache_directory = "//.cache/bake"  # of Layout.bake
+    settings.cache_resumable = True  # a later change of it would empty the cache
 
 
-def bake(domain: bpy.types.Object) -> None:
-    """Simulate all frames of the domain's cache range. Raises RuntimeError if a frame is missing afterwards.
+def bake(domain: bpy.types.Object, needed: range, after: int = 0) -> None:
+    """Simulate all frames of the domain's cache range, resumable.
 
     One bake per process: a second one in the same process is unreliable in Blender.
+
+    Args:
+        needed: frames that must be there in the end.
+        after: frame whose state is in the cache already, 0: begin with the first.
+    Raises:
+        RuntimeError: a frame is missing.
     """
+    settings = domain.modifiers["Fluid"].domain_settings
+    settings.cache_frame_pause_data = after + 1 if after else 0
     with bpy.context.temp_override(object=domain, active_object=domain, scene=bpy.context.scene):
         bpy.ops.fluid.bake_all()
-    settings = domain.modifiers["Fluid"].domain_settings
-    missing = [
-        frame
-        for frame in range(settings.cache_frame_start, settings.cache_frame_end + 1)
-        if not velocity_file(settings, frame).is_file()
-    ]
+    missing = [frame for frame in needed if not velocity_file(settings, frame).is_file()]
     if missing or not settings.has_cache_baked_data:
         raise RuntimeError(
             f"the fluid bake stopped before frame {missing[0] if missing else '?'}; its messages are in the log"

@@ -43,13 +43,15 @@ class MantaflowSource:
         return objects
 
     def bake(self, layout: Layout, progress: Callable[[int, int], None]) -> None:
-        total = self._spec.timeline.last_frame
+        needed = self._spec.timeline.steps_needed
 
         def simulated() -> int:
-            return sum(layout.cached_velocity(frame).is_file() for frame in range(1, total + 1))
+            layout.prune_bake(needed)
+            return layout.newest_step()
 
-        with Watch(simulated, total, progress):
-            fire.bake(find_flame())
+        with Watch(simulated, needed[-1], progress):
+            fire.bake(find_flame(), needed, layout.newest_step())
+        layout.prune_bake(needed, finished=True)
 
     @cached_property
     def index_to_world(self) -> np.ndarray:

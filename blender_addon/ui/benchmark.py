@@ -5,7 +5,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import bpy
-from bpy.props import BoolProperty, EnumProperty, FloatProperty, StringProperty
+from bpy.props import EnumProperty, FloatProperty, StringProperty
 
 from ..core.checked_json import SpecError
 from ..core.errors import GofError
@@ -197,23 +197,17 @@ class GOF_OT_bake_render(JobOperator, bpy.types.Operator):
         return Job(spec, layout, blender())
 
     def finish(self, context, job: Job) -> str:
-        if job.keeps_bake:
-            return "Stopped after the bake, which is kept; Resume goes on there"
         return f"Dataset finished: {job.layout.root}"
 
 
+QUESTION = ("Stop the benchmark?", "What is finished stays; Resume goes on there.", "Esc goes on with it.")
+
+
 class GOF_OT_stop_benchmark(bpy.types.Operator):
-    """Stop the running benchmark, after a question; a bake may end first, and finished pictures stay"""
+    """Stop the running benchmark, after a question; what is finished stays"""
 
     bl_idname = "gof.stop_benchmark"
     bl_label = "Stop"
-
-    keep_bake: BoolProperty(
-        name="Finish the Bake First",
-        default=True,
-        description="Go on until the bake is finished and stop then: none of it is lost",
-        options={"SKIP_SAVE"},
-    )
 
     @classmethod
     def poll(cls, context):
@@ -225,17 +219,11 @@ class GOF_OT_stop_benchmark(bpy.types.Operator):
     def draw(self, context):
         job = GOF_OT_bake_render.job
         column = self.layout.column(align=True)
-        for index, line in enumerate(loss(job) if job else ("It has ended already.",)):
+        for index, line in enumerate(QUESTION if job else ("It has ended already.",)):
             column.label(text=line, icon="QUESTION" if index == 0 else "BLANK1")
-        if job is not None and job.stage == "bake":
-            self.layout.prop(self, "keep_bake")
 
     def execute(self, context):
-        job = GOF_OT_bake_render.job
-        if job is not None and job.stage == "bake" and self.keep_bake:
-            job.stop_after_bake()
-        else:
-            GOF_OT_bake_render.stop_job()
+        GOF_OT_bake_render.stop_job()
         return {"FINISHED"}
 
 
@@ -337,14 +325,6 @@ def _unused(scene: bpy.types.Scene) -> list[str]:
         return []
     changing = [name_of(effect) for effect in scene_spec.of_settings(scene).effects if changes_bake(effect)]
     return [f"Grids are not simulated: {', '.join(changing)} of the Fire panel left out"] if changing else []
-
-
-def loss(job: Job) -> list[str]:
-    """Return the cost of stopping a job now, as lines of a question."""
-    if job.stage == "bake":
-        done = f"The bake is {100 * job.share:.0f} % done. Stopped now, it would start over."
-        return ["Stop the benchmark?", done, "Esc goes on with it."]
-    return ["Stop the benchmark?", "Finished pictures stay; Resume goes on there.", "Esc goes on with it."]
 
 
 _seen: tuple[tuple, list[str]] = ((), [])  # what the panel has said last of this scene's objects, and of which

@@ -13,7 +13,7 @@ from ..core.errors import DataFormatError, GofError
 from ..pure import voxels
 from ..pure.io import usd_points, vdb_file
 from ..pure.io.cloud import GaussianCloud
-from ..scene import compat, exchange, point_cloud
+from ..scene import exchange, point_cloud
 from .panel import number
 
 FINENESS = 96  # voxels along the longest side, where no size is given

@@ -45,7 +45,7 @@ GENERATOR_VERSION = "0.2.0"
 
 
 def bake(spec: SceneSpec, layout: Layout, progress: Reporter) -> None:
-    """Build scene.blend and make the flame of every step; an unfinished bake starts over."""
+    """Build scene.blend and make the flame of every step; an unfinished simulation goes on after its last step."""
     total = spec.fire.bake_steps(spec.timeline)
     if layout.bake_marker.is_file():
         progress(total, total)
@@ -62,13 +62,17 @@ def bake(spec: SceneSpec, layout: Layout, progress: Reporter) -> None:
         write_json(layout.bake_marker, read_json(layout.lent))
         layout.lent.unlink()
         return progress(total, total)
-    shutil.rmtree(layout.bake, ignore_errors=True)
-    build.scene(spec)
-    if spec.blend_file:
-        from ..scene.backgrounds import blend_file
+    if layout.go_on_after(bpy.app.version_string):
+        _open_blend(layout, during_bake=True)
+    else:
+        shutil.rmtree(layout.bake, ignore_errors=True)
+        build.scene(spec)
+        if spec.blend_file:
+            from ..scene.backgrounds import blend_file
 
-        blend_file.save(bpy.data.collections["Background"], layout.background)
-    _save_blend(layout)  # the cache folder is relative to the file
+            blend_file.save(bpy.data.collections["Background"], layout.background)
+        _save_blend(layout)  # the cache folder is relative to the file
+    write_json(layout.bake_begun, {"blender": bpy.app.version_string})
     source = flame_source(spec)
     source.bake(layout, progress)
     cut_off = extra_truth.cut_off(spec, source)

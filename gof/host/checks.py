@@ -90,7 +90,7 @@ def check_system() -> Outcome:
 
 
 def check_packages() -> Outcome:
-    """Return versions of what scoring, importing, rendering and reconstructing need; numpy 2 breaks bpy for Python 3.11."""
+    """Return versions of what scoring, importing, rendering and reconstructing need; numpy 2 breaks bpy 4.5."""
     found, missing = {}, []
     for name in PACKAGES:
         try:

@@ -9,7 +9,7 @@ import pytest
 from gof.core.costs import StageLog
 from gof.dataset import Dataset
 from gof_blender.pure import spec as scene_spec
-from gof_blender.pure.dataset_process import Job, JobError
+from gof_blender.pure.dataset_process import Job, JobError, left_s
 from gof_blender.pure.layout import Layout
 from tests.blender.runs import TOY
 from tests.blender.test_addon_fire import in_addon
@@ -47,49 +47,21 @@ def test_a_stopped_job_goes_on(tmp_path, monkeypatch):
 
 
 @pytest.mark.blender
-def test_a_bake_is_finished_before_a_stop_and_never_made_again(tmp_path):
-    """What the question's first answer does: the bake ends as it would have, nothing is rendered, Resume goes on."""
+def test_a_stopped_bake_goes_on(tmp_path):
     layout = Layout(tmp_path / "kept")
     layout.claim(TOY)
     job = Job(TOY, layout, PYTHON)
-    assert job.poll() and job.stage == "bake"
-    job.stop_after_bake()
-    child = job._process
-    while job.poll():
-        assert "then it stops" in str(job) or "starts" in str(job)
-        time.sleep(0.05)
-    assert child.returncode == 0, "it was not killed"
-    assert layout.bake_marker.is_file() and not layout.pictures() and not layout.description.exists()
-    made = layout.bake_marker.stat().st_mtime_ns
-    later = Job(TOY, layout, PYTHON)
-    later.run()
-    assert layout.bake_marker.stat().st_mtime_ns == made and layout.description.is_file()
-    assert "stopped after the bake" in layout.job_log.read_text()
-    later.stop_after_bake()
-    assert not later.keeps_bake, "there is no bake to wait for"
-
-
-@pytest.mark.blender
-def test_the_questions_two_answers():
-    """The operator that Esc calls: the bake is kept unless that is unticked; later stages end at once."""
-    found = in_addon("""
-        from gof_blender.ui.benchmark import GOF_OT_bake_render as running, loss
-        class Job:
-            keeps_bake = False
-            def __init__(self, stage): self.stage, self.share, self.said = stage, 0.4, []
-            def stop_after_bake(self): self.said.append("after")
-            def stop(self): self.said.append("now")
-        for stage, answer in (("bake", {}), ("bake", {"keep_bake": False}), ("render", {})):
-            job = running.job = Job(stage)
-            result[f"{stage} {len(answer)}"] = [list(bpy.ops.gof.stop_benchmark(**answer)), job.said,
-                                                running.job is None, loss(job)[1]]
-        result["poll"] = bpy.ops.gof.stop_benchmark.poll()
-    """)
-    assert found["bake 0"][:3] == [["FINISHED"], ["after"], False]
-    assert found["bake 1"][:3] == [["FINISHED"], ["now"], True]
-    assert found["render 0"][:3] == [["FINISHED"], ["now"], True]
-    assert "40 % done" in found["bake 0"][3] and "pictures stay" in found["render 0"][3]
-    assert found["poll"] is False
+    expected = left_s(TOY, layout, {"bake": 100.0, "render": 1.0})["bake"]
+    while layout.newest_step() < 8:
+        assert job.poll() and job.stage == "bake"
+        time.sleep(0.01)
+    job.stop()
+    assert not layout.bake_marker.exists()
+    kept = layout.cached_velocity(6).stat().st_mtime_ns
+    assert left_s(TOY, layout, {"bake": 100.0, "render": 1.0})["bake"] < 0.7 * expected
+    Job(TOY, layout, PYTHON).run()
+    assert layout.description.is_file() and "stopped in bake" in layout.job_log.read_text()
+    assert kept < layout.bake_begun.stat().st_mtime_ns
 
 
 @pytest.mark.blender

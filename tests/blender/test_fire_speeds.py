@@ -40,7 +40,7 @@ def gas(spec: SceneSpec, folder, axis: int, still: bool = False) -> list[float]:
         if still:
             objects.domain_settings.beta = 0.0
         bpy.ops.wm.save_as_mainfile(filepath=str(folder / "scene.blend"))
-        fire.bake(objects.domain)
+        fire.bake(objects.domain, spec.timeline.steps_needed)
         source = MantaflowSource(spec)
         fields = [source.velocity(step)[..., axis] for step in (1, 2, 3)]
         result["speed"] = [float(field.max() if axis == 2 else field[10, 10, 10]) for field in fields]

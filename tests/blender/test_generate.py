@@ -1,5 +1,6 @@
 """The generator on a toy fire: real bake, real Cycles, one Blender process a stage."""
 
+import gzip
 import json
 import os
 import shutil
@@ -17,8 +18,8 @@ from gof.dataset import Dataset
 from gof_benchmark.commands import generate
 from gof_benchmark.scenes import claim, load_scene
 from gof_blender.pure import spec as scene_spec
-from gof_blender.pure.effects import smoke, vorticity, wind
-from gof_blender.pure.layout import Layout
+from gof_blender.pure.effects import fine_noise, moving_emitter, obstacles, smoke, vorticity, wind
+from gof_blender.pure.layout import DRAWN, Layout
 from gof_blender.pure.spec import SceneSpec
 from tests.blender.runs import TOY, channels, in_blender
 
@@ -247,15 +248,50 @@ def test_killed_render_redoes_no_finished_frame(toy, tmp_path):
     assert not list(layout.root.rglob(".*.partial*")), "no draft is left"
 
 
-def test_killed_bake_starts_over(tmp_path):
+ALL_AT_ONCE = (wind.Settings(), smoke.Settings(), obstacles.Settings(), moving_emitter.Settings())
+
+
+@pytest.mark.parametrize("added", [(), (fine_noise.Settings(),), ALL_AT_ONCE], ids=["plain", "fine noise", "all"])
+def test_a_killed_bake_goes_on_and_burns_the_same_to_the_bit(tmp_path, added):
+    spec = replace(TOY, clip=replace(TOY.clip, frames=12), effects=TOY.effects + added)
+    whole, killed = (Layout(tmp_path / name) for name in ("whole", "killed"))
+    for layout in (whole, killed):
+        claim(layout, spec)
+    subprocess.run(worker(whole, "bake"), check=True, capture_output=True)
+    kill_after(killed, "bake", 18)
+    assert not killed.bake_marker.exists()
+    failed = subprocess.run(worker(killed, "render"), capture_output=True, text=True)
+    assert failed.returncode == 1 and "run --stage bake first" in failed.stderr
+    complete = range(spec.timeline.first_frame, killed.newest_step())
+    assert len(complete) >= 1, "killed amid the clip"
+    times = {step: killed.cached_velocity(step).stat().st_mtime_ns for step in complete}
+    subprocess.run(worker(killed, "bake"), check=True, capture_output=True)
+    assert all(killed.cached_velocity(step).stat().st_mtime_ns == then for step, then in times.items())
+    there, again = (cached(layout) for layout in (whole, killed))
+    assert there.keys() == again.keys() and len(there) > 3 * spec.clip.frames
+    assert [name for name in there if there[name] != again[name]] == []
+
+
+def cached(layout: Layout) -> dict[str, bytes]:
+    """Return the cache's grids by file, unpacked and without their headers, which hold the time of writing."""
+    files = [path for path in layout.bake.rglob("*.uni") if "config" not in path.parts]
+    return {str(path.relative_to(layout.bake)): gzip.open(path).read()[292:] for path in files}
+
+
+def test_the_cache_holds_what_is_drawn_and_no_more(toy):
+    needed = TOY.timeline.steps_needed
+    files = [path.stem.rpartition("_") for path in toy.bake.glob("data/*.uni")]
+    assert {int(number) for _, _, number in files} == set(needed)
+    assert {name for name, _, _ in files} <= set(DRAWN) >= {"vel", "flame", "heat"}
+
+
+def test_a_bake_of_another_blender_starts_over(tmp_path):
     layout = Layout(tmp_path / "toy")
     claim(layout, TOY)
-    kill_after(layout, "bake", 2)
-    assert not layout.bake_marker.exists()
-    failed = subprocess.run(worker(layout, "render"), capture_output=True, text=True)
-    assert failed.returncode == 1 and "run --stage bake first" in failed.stderr
-    subprocess.run(worker(layout, "bake"), check=True, capture_output=True)
-    assert layout.bake_marker.exists()
+    kill_after(layout, "bake", 6)
+    assert layout.go_on_after("3.4.1") == 0 and layout.newest_step() >= 6, "and nothing is removed"
+    layout.bake_begun.unlink()
+    assert layout.go_on_after("4.5.0") == 0
 
 
 def test_a_finished_dataset_is_left_alone(toy, capfd):
