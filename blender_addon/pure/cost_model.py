@@ -32,7 +32,7 @@ from .spec import SceneSpec
 # Measured on Blender 4.5, see notebook/costs.md.
 BAKE_MB, BAKE_BYTES_PER_CELL = 260.0, 270.0
 RENDER_MB, RENDER_BYTES_PER_CELL, RENDER_BYTES_PER_PIXEL = 330.0, 60.0, 700.0
-CACHE_BYTES_PER_CELL_STEP, VELOCITY_BYTES_PER_CELL_FRAME = 14.0, 6.0
+CACHE_BYTES_PER_CELL_STEP, STATE_BYTES_PER_CELL, VELOCITY_BYTES_PER_CELL_FRAME = 15.5, 40.0, 6.0
 PICTURE_BYTES_PER_PIXEL = 10.0
 NOISE_BAKE, NOISE_MEMORY = 0.22, 0.3  # of the coarse bake, per fine cell that a coarse cell is divided into
 CORES = os.cpu_count() or 1
@@ -293,10 +293,11 @@ def _memory_mb(spec: SceneSpec) -> float:
 
 
 def _disk_mb(spec: SceneSpec) -> float:
-    """Return the disk space of pictures, the solver's cache and the ground truth."""
+    """Return the disk space of pictures, the solver's cache and the ground truth, while a dataset is made."""
     frames, grids = spec.clip.frames, 1 + len(spec.ground_truth)
     images = math.prod(spec.picture_px) * len(spec.pictures) * PICTURE_BYTES_PER_PIXEL
-    cache = (1 + _fine_cells(spec) / 4) * spec.fire.bake_steps(spec.timeline) * CACHE_BYTES_PER_CELL_STEP
+    steps = len(spec.timeline.steps_needed) + spec.fire.bake_steps(spec.timeline) * _fine_cells(spec) / 4
+    cache = steps * CACHE_BYTES_PER_CELL_STEP + STATE_BYTES_PER_CELL
     return (images + cells(spec) * (cache + frames * grids * VELOCITY_BYTES_PER_CELL_FRAME)) / 2**20
 
 

@@ -20,7 +20,7 @@ PRESETS: dict[str, dict[str, dict]] = {
     },
     "large": {
         "clip": {"frames": 50},
-        "domain": {"resolution": 128},
+        "domain": {"resolution": 256},
         "render": {"percentage": 100, "samples": 2, "plate_samples": 16, "volume_step_rate": 4.0},
     },
     "full": {
