@@ -200,7 +200,7 @@ class GOF_OT_bake_render(JobOperator, bpy.types.Operator):
         return f"Dataset finished: {job.layout.root}"
 
 
-QUESTION = ("Stop the benchmark?", "What is finished stays; Resume goes on there.", "Esc goes on with it.")
+QUESTION = ("Stop the benchmark?", "Finished steps and pictures stay; Resume goes on there.", "Esc goes on with it.")
 
 
 class GOF_OT_stop_benchmark(bpy.types.Operator):

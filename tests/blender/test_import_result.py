@@ -91,7 +91,7 @@ def done(folder) -> subprocess.CompletedProcess:
 @pytest.mark.blender
 def test_blend_and_preview(done, folder, spec):
     assert done.returncode == 0, done.stderr
-    lines = [json.loads(line)["progress"] for line in done.stdout.splitlines()]
+    lines = [json.loads(line)["progress"] for line in done.stdout.splitlines() if line.startswith("{")]
     assert lines == [{"stage": "import", "done": k, "total": 3} for k in (1, 2, 3)]
     assert sorted(p.name for p in (folder / "out").iterdir()) == ["preview.png", "scene.blend", "scene.log"]
 

@@ -89,7 +89,7 @@ for mode in ("ellipsoids", "ellipsoids in points", "points"):
     scene.render.fps, scene.render.fps_base = 100, 1.0
     bpy.data.objects.remove(thing)
 try:
-    point_cloud.add_point_cloud(cloud, 81, "splats")
+    point_cloud.add_point_cloud(cloud, 81, "balls")
 except ValueError as error:
     out["bad mode"] = str(error)
 np.savez(folder / "seen.npz", **out)

@@ -32,7 +32,7 @@ def test_four_steps_a_frame_and_four_times_the_frames_are_one_fire(tmp_path):
     """Both end at the same step, and every grid of every step is equal to the bit."""
     slow = baked(tmp_path / "slow", clip=Clip(2, 100, 4, steps_per_frame=4))
     fast = baked(tmp_path / "fast", clip=Clip(5, 400, 16))
-    assert len(slow) == 21 and slow == fast
+    assert len(slow) == 5 and slow == fast  # those that are read; each stands on all before it
     assert any(slow["vel_0021.uni"]), "the gas moves"
 
 
@@ -50,7 +50,7 @@ def test_nothing_of_the_pictures_reaches_the_solver(tmp_path):
         render=replace(TOY.render, samples=7, percentage=9),
         ground_truth=("grids", "flow", "vdb"),
     )
-    assert len(plain) == 14 and plain == other
+    assert len(plain) == 2 and plain == other
     assert baked(tmp_path / "seed", clip=clip, seed=TOY.seed + 1) != plain
 
 
