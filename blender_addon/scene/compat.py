@@ -92,6 +92,11 @@ def see_through(material: bpy.types.Material) -> None:
         material.blend_method = "HASHED"
 
 
+def hide_lamp(lamp: bpy.types.Object) -> None:
+    """Let a lamp light the scene and be seen nowhere, not in mirrors either."""
+    lamp.visible_camera = lamp.visible_glossy = lamp.visible_transmission = False
+
+
 def align_node(tree: bpy.types.NodeTree) -> bpy.types.Node:
     """Return the node with inputs Factor and Vector that turns the z axis towards a vector, output Rotation."""
     kind = "FunctionNodeAlignRotationToVector"

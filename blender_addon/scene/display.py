@@ -64,7 +64,7 @@ def emission(cloud: GaussianCloud, curve: ToneCurve) -> np.ndarray:
     light = curve.light(cloud.color)
     for _ in range(max(1, min(MOST_ROUNDS, ROUNDS_BUDGET // max(len(cloud), 1)))):
         lacking, weight = np.zeros_like(light), np.zeros(len(light))
-        for picture in _pictures(cloud):
+        for picture in pictures(cloud):
             ratio, share = picture.compare(cloud.color, light, curve, HIDING if cloud.emissive else 1.0)
             weight += np.bincount(picture.rows, share, len(light))
             for channel in range(3):
@@ -76,12 +76,15 @@ def emission(cloud: GaussianCloud, curve: ToneCurve) -> np.ndarray:
 
 
 @dataclass(frozen=True)
-class _Picture:
+class Picture:
     """M points that stand for Gaussians in the P pixels of one view at one time."""
 
     rows: np.ndarray  # (M,) of which Gaussian
     owner: np.ndarray  # (M,) pixel of each
     depth: np.ndarray  # (M,) optical depth of each, spread over a pixel
+    place: np.ndarray  # (M, 3) m
+    time_s: float
+    area: float  # of a pixel, m^2
 
     def compare(
         self, color: np.ndarray, light: np.ndarray, curve: ToneCurve, hiding: float
@@ -98,13 +101,19 @@ class _Picture:
         shown = self._mean(light, total) * covered[:, None]
         return wanted / np.maximum(shown, 1e-9), self.depth * (covered / total)[self.owner]
 
+    def intensity(self, light: np.ndarray, hiding: float) -> np.ndarray:
+        """Return what each point sends towards the viewer, (M, 3): radiance times area."""
+        total = np.maximum(np.bincount(self.owner, self.depth), 1e-12)
+        share = self.depth * (-np.expm1(-hiding * total) / total)[self.owner]
+        return light[self.rows] * (share * self.area)[:, None]
+
     def _mean(self, values: np.ndarray, total: np.ndarray) -> np.ndarray:
         """Return the mean (P, 3) of values (N, 3) in each pixel."""
         sums = [np.bincount(self.owner, self.depth * values[self.rows, channel]) for channel in range(3)]
         return np.column_stack(sums) / total[:, None]
 
 
-def _pictures(cloud: GaussianCloud) -> Iterator[_Picture]:
+def pictures(cloud: GaussianCloud) -> Iterator[Picture]:
     """Yield the cloud at times two standard deviations of its lifetimes apart, in horizontal views all around; every
     time the same."""
     random = np.random.default_rng(0)
@@ -125,7 +134,8 @@ def _pictures(cloud: GaussianCloud) -> Iterator[_Picture]:
         depth = np.repeat(2 * np.pi * alpha * spread[alive] / pixel**2 / points, points)
         for angle in np.pi * np.arange(DIRECTIONS) / DIRECTIONS:
             across = place[:, 0] * np.cos(angle) + place[:, 1] * np.sin(angle)
-            yield _Picture(rows, _pixel_numbers(across, place[:, 2]), depth)
+            owner = _pixel_numbers(across, place[:, 2])
+            yield Picture(rows, owner, depth, place * pixel, float(time), pixel**2)
 
 
 def _slices(cloud: GaussianCloud, first: np.ndarray, last: np.ndarray) -> tuple[np.ndarray, float]:

@@ -48,7 +48,7 @@ INPUTS = (  # name, kind, default, least, largest, description
         1.0,
         0.0,
         1e6,
-        "Factor on the light that the flame throws on everything else; a color map throws none",
+        "Factor on the light of the flame's lamps on everything else; a color map throws none",
     ),
     ("Line Time", FLOAT, 0.02, 0.0, 1e3, "Length of arrows and streaks: the way of this many seconds"),
     ("Arrows Show", WHOLE, 0, 0, 2, "0 velocity, 1 true velocity, 2 velocity error; the last two once scored"),

@@ -11,7 +11,7 @@ from mathutils import Vector
 
 from ..core.datum import Datum
 from ..pure.io.cloud import GaussianCloud
-from . import compat, display, gaussian_nodes, see_through
+from . import compat, display, gaussian_nodes, lamps, see_through
 
 DISPLAY = "gs_display"  # attribute: display values as in the file, which nothing draws and exports write
 LONGEST = np.finfo(np.float32).max
@@ -87,6 +87,8 @@ def add_point_cloud(
     settings = inputs(thing)
     settings["Mode"], settings["Start Frame"] = gaussian_nodes.MODES.index(mode), start_frame
     settings["Line Time"] = _line_time(cloud)
+    lamps.add(settings, cloud, column(thing.data, "gs_light", 3))
+    thing.visible_diffuse = False  # rough surfaces get their light from the lamps
     if cloud.datum:
         thing[DATUM] = cloud.datum.numbers().tolist()
     see_through.allow(bpy.context.scene)

@@ -97,7 +97,7 @@ def test_light_is_finite_at_its_bad_points():
     found = in_blender("""
     import numpy as np
     from gof_blender.pure.io.cloud import GaussianCloud
-    from gof_blender.scene import display
+    from gof_blender.scene import display, lamps
 
     def cloud(n, **changes):
         given = dict(position=np.zeros((n, 3)), velocity=np.zeros((n, 3)), t_mu=np.linspace(0, 1, n))
@@ -122,7 +122,11 @@ def test_light_is_finite_at_its_bad_points():
     curve = display.ToneCurve.measure(bpy.context.scene)
     for name, it in cases.items():
         light = display.emission(it, curve)
-        result[name] = [bool(np.isfinite(light).all() and (light >= 0).all()), float(light.max()), list(light.shape)]
+        fine = bool(np.isfinite(light).all() and (light >= 0).all())
+        for place, radius, times, intensity in lamps.groups(it, light):
+            fine &= all(bool(np.isfinite(x).all()) for x in (place, radius, times, intensity))
+            fine &= bool((intensity >= 0).all()) and radius >= 0
+        result[name] = [fine, float(light.max()), list(light.shape)]
     """)
     assert len(found) == 10
     for name, (fine, most, shape) in found.items():
