@@ -1,8 +1,8 @@
 """The player's page, and `gof share`: one HTML file that plays from the disk, without a network.
 
 The page's own code lies beside this file: `unpack.js` turns the columns of `quantise.py` into numbers, `sort.js` orders
-them in a worker, `draw.js` and the shaders draw, `view.js` turns the camera, `player.js` is what people touch.
-`live.py` serves the same page to this machine.
+them in a worker, `draw.js` and the shaders draw, `view.js` turns the camera, `greet.js` is the page's first seconds,
+`links.js` its state as an address, `player.js` is what people touch. `live.py` serves the same page to this machine.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ from gof.look.player.opened import G, Opened, middle_of, time_span
 from gof.look.player.quantise import Agreement, Packed, measure, pack, unpack
 
 PLAYER = Path(__file__).parent
-SCRIPTS = ("unpack.js", "view.js", "draw.js", "pictures.js", "player.js")
+SCRIPTS = ("unpack.js", "view.js", "draw.js", "pictures.js", "greet.js", "links.js", "player.js")
 LIVE = "live.js"  # of the page of `gof view` alone
 SHADERS = ("splat.glsl", "line.glsl", "pane.glsl")  # each a shader of corners, then one of fragments
 FRAGMENTS = "//// the fragments\n"
