@@ -11,6 +11,7 @@ make the same archive. Times of change go with the files, to the nanosecond: res
 from __future__ import annotations
 
 import hashlib
+import html
 import io
 import json
 import os
@@ -70,6 +71,7 @@ class Truth:
 
 SUMS, CARD = "SHA256SUMS", "README.md"
 BLOCK = 2**20
+HEAD = 2**14  # characters of a card in which its credit stands
 MOST_SUMS = 2**26  # bytes of checksums that a reader believes
 LATEST_NS = 2**32 * 10**9  # of the year 2106: what file systems keep
 
@@ -348,6 +350,16 @@ def description_lines(dataset: Dataset, total: int) -> dict[str, str]:
         lines["velocity"] = f"velocity.zarr, {cells} cells at {len(store)} times, m/s in world axes, at cell centres"
         lines["digest of the truth"] = f"{Truth.of(dataset).sha256} (docs/benchmark.md says what it is of)"
     return lines
+
+
+def read_credit(folder: Path) -> str:
+    """Return who made an unpacked dataset, and its licence, as its card says; empty where it has no such card."""
+    path = folder / CARD
+    if not path.is_file():
+        return ""
+    with path.open(encoding="utf-8", errors="replace") as file:
+        found = re.search(r"^Made by .+\. Licence: .+\.$", file.read(HEAD), re.MULTILINE)
+    return html.unescape(found[0].replace("\\|", "|")) if found else ""
 
 
 def _quoted(text: str) -> str:

@@ -5,6 +5,7 @@ import io
 import re
 import time
 from dataclasses import replace
+from html import unescape
 
 import numpy as np
 import pytest
@@ -205,7 +206,7 @@ def test_colours_are_speeds_uncertainties_and_the_true_ones(browser, page):
     both = drawn(browser, "bare=1&show=0 recorded&cam=cam_1&t=200&colour=uncertainty")
     assert psnr(both[:, WIDTH:], expected(back.velocity_sd, uncertainty_max)) > 45
     assert psnr(both[:, :WIDTH], expected(error, uncertainty_max)) > 45
-    browser.run("state.colouring = RADIANCE")
+    browser.run("state.colouring = COLOUR")
     clean(browser, page)
 
 
@@ -214,6 +215,30 @@ def test_recorded_pictures_are_those_of_the_time(browser, page):
     for frame in (0, 3, 5):
         both = drawn(browser, f"bare=1&show=0 recorded&cam=cam_0&t={100 * frame + 20}")
         assert both[:, :WIDTH].mean() == pytest.approx(0.25 + 0.1 * frame, abs=0.01)
+
+
+def test_gaussians_of_false_colours_are_half_as_bright_below_lines(browser, page):
+    browser.resize(WIDTH, HEIGHT)
+    asked, lines = "bare=1&show=0&cam=cam_1&t=200&colour=speed", browser.run("share.lines")
+    alone = drawn(browser, asked)
+    browser.run("share.lines = 0")  # of the Gaussians have one: what lies below the lines is seen alone
+    np.testing.assert_allclose(drawn(browser, f"{asked}&lines=1"), alone / 2, atol=1.5 / 255)
+    browser.run(f"share.lines = {lines}")
+    assert alone.mean() > 0.02 and not np.allclose(drawn(browser, f"{asked}&lines=1"), alone / 2, atol=0.1)
+
+
+def test_where_no_true_velocity_is_known_the_filmed_picture_stays(tmp_path):
+    cameras = arc(3, width=WIDTH, height=HEIGHT, focal_px=200.0)
+    frames, plates = np.full((2, 3, HEIGHT, WIDTH, 3), 0.5), np.full((3, HEIGHT, WIDTH, 3), 0.3)
+    dataset = Dataset.open(write_dataset(tmp_path / "data", cameras, frames, plates, 0.5 * np.arange(2)))
+    made = share_page([Opened("one", "gof", tmp_path / "a.npz", flame())], tmp_path / "share.html", dataset)
+    with Browser(2 * WIDTH, HEIGHT) as opened:
+        opened.open(page_address(made.path, "t=0&bare=1"))
+        for colour in ("speed", "uncertainty"):
+            both = drawn(opened, f"bare=1&show=0 recorded&cam=cam_1&t=200&colour={colour}&lines=1")
+            np.testing.assert_allclose(both[:, :WIDTH], 0.5, atol=0.01)
+            assert np.ptp(both[:, WIDTH:]) > 0.3, "the flame's colours"
+            assert opened.run("byId('captions').firstChild.firstChild.textContent") == "Filmed, Camera 2"
 
 
 def test_lines_end_where_gaussians_are_and_point_back_along_their_way(browser, page):
@@ -266,6 +291,246 @@ def test_who_is_seen_comes_from_the_farthest_to_the_nearest(browser, page):
     assert (np.diff(depth[order]) < np.ptp(depth) / 65535 + 1e-6).all()
 
 
+def test_recorded_pictures_are_enlarged_at_most_twice(browser, page):
+    """Both panes show 180 x 320 px of 90 x 160, in the middle of 700 px; a result alone fills the height."""
+    browser.resize(900, 700)
+    grey = drawn(browser, "bare=1&show=0 recorded&cam=cam_0&t=0")
+    rows, columns = np.nonzero(np.abs(grey - 0.25).max(-1) < 0.01)  # the recorded frame; its plate is 0.3
+    assert (np.ptp(rows) + 1, np.ptp(columns) + 1) == (320, 180) and (rows.min() + rows.max() + 1) / 2 == 350
+    assert grey[:, : columns.min()].max() == 0, "on black"
+    plate = np.abs(grey - 0.3).max(-1) < 0.01
+    assert np.ptp(np.nonzero(plate[:, 451:])[0]) + 1 == 320, "the results beside it are as large"
+    alone = drawn(browser, "bare=1&show=0&cam=cam_0&t=0")
+    assert np.ptp(np.nonzero(np.abs(alone - 0.3).max(-1) < 0.01)[0]) + 1 == 700
+
+
+# ---------------------------------------------------------------- one result: what strangers see first
+
+
+@pytest.fixture(scope="module")
+def single(page):
+    """The page of the first result alone, which does not say how sure it is."""
+    path, g, dataset = page
+    one = Opened("one", "gof", path.parent / "c.npz", replace(g, velocity_sd=np.full(150, np.inf)))
+    return share_page([one], path.parent / "one.html", dataset).path
+
+
+def opened_anew(browser, path, fragment="", width=1200, height=700, mobile=False):
+    """A browser with the page as a stranger sees it, from its first picture on."""
+    browser.resize(width, height, 1.0, mobile)
+    browser.open("about:blank")
+    browser.open(page_address(path, fragment))
+    browser.run("(async () => { while (!byId('captions').children.length) await animationFrame() })()")
+    return browser
+
+
+def degrees_from_home(browser) -> float:
+    """Angle between the view as it is drawn and the camera's own."""
+    drawn, home = browser.run("[swayed(state.view).axes[2], homeView().axes[2]]")
+    return float(np.degrees(np.arccos(min(1, np.dot(drawn, home)))))
+
+
+def far_enough(browser, degrees=2.0) -> float:
+    """Wait until the view has swayed so far; the angle."""
+    for _ in range(100):
+        if (angle := degrees_from_home(browser)) > degrees:
+            return angle
+        time.sleep(0.05)
+    raise AssertionError("it does not sway")
+
+
+def test_the_view_sways_until_a_key_and_then_goes_home(browser, single):
+    opened_anew(browser, single)
+    angles = [degrees_from_home(browser) for _ in range(30) if time.sleep(0.1) is None]
+    assert 3 < max(angles) < 5.01 and min(np.abs(np.diff(angles))) < 1, "5 degrees to a side, gently"
+    far_enough(browser)
+    browser.run("state.playing = false")
+    first = now(browser)
+    time.sleep(0.5)
+    assert psnr(now(browser), first) < 45, "it is drawn so, at one time of the clip"
+    eye, pivot = browser.run("[swayed(state.view).eye, state.view.pivot]")
+    home = browser.run("homeView().eye")
+    assert np.linalg.norm(np.subtract(eye, pivot)) == pytest.approx(np.linalg.norm(np.subtract(home, pivot)))
+    assert eye[2] == pytest.approx(home[2]), "about the vertical"
+    browser.key("Shift")
+    time.sleep(0.6)
+    assert degrees_from_home(browser) < 1e-4 and browser.run("atCamera()")
+    still = now(browser)
+    time.sleep(0.5)
+    assert (now(browser) == still).all()
+
+
+def test_a_hand_takes_the_view_where_it_is(browser, single):
+    opened_anew(browser, single)
+    far_enough(browser)
+    browser.mouse("mousePressed", 300, 300, button="left", buttons=1, clickCount=1)
+    held = degrees_from_home(browser)
+    time.sleep(0.3)
+    assert held > 1 and degrees_from_home(browser) == pytest.approx(held, abs=1e-9)
+    assert not browser.run("atCamera()")
+    browser.mouse("mouseReleased", 300, 300, button="left")
+    browser.run("chooseCamera(0)")
+    assert degrees_from_home(browser) < 1e-4
+
+
+def test_nothing_sways_behind_a_link_or_where_less_motion_is_asked_for(browser, single):
+    for fragment, reduced in [("t=100", False), ("cam=cam_0", False), ("", True)]:
+        wish = [{"name": "prefers-reduced-motion", "value": "reduce" if reduced else ""}]
+        browser.ask("Emulation.setEmulatedMedia", {"features": wish})
+        opened_anew(browser, single, fragment)
+        assert browser.run("sway.since") is None
+        time.sleep(0.5)
+        assert degrees_from_home(browser) < 1e-4
+    assert browser.run("state.playing") is False, "nor does it play"
+    browser.ask("Emulation.setEmulatedMedia", {"features": []})
+
+
+HINT = "getComputedStyle(byId('hint')).visibility"
+
+
+def test_the_hint_goes_by_itself_or_at_the_first_key(browser, single):
+    opened_anew(browser, single)
+    assert browser.run("byId('hint').textContent") == "Drag to turn: this is not a film"
+    assert browser.run(HINT) == "visible"
+    seen_ms = browser.run(
+        f"(async () => {{ const from = performance.now(); while ({HINT} === 'visible') await animationFrame(); "
+        "return performance.now() - from; })()"
+    )
+    assert 1000 < seen_ms < 6000, "some 3 s, less what opening took and more where drawing is slow"
+    opened_anew(browser, single)
+    assert browser.run(HINT) == "visible"
+    browser.key("Shift")
+    assert browser.run("byId('hint').classList.contains('gone')")
+
+
+def test_three_buttons_set_colours_lines_and_scene(whole, single):
+    pressed = "[...presetButtons()].filter((b) => b.ariaPressed === 'true').map((b) => b.textContent)"
+    shown = "[COLOURINGS[state.colouring], state.lines, state.plate]"
+    whole.run("Object.assign(state, {lines: true, plate: false}), change()")
+    assert whole.run(pressed) == []
+    for name, what in [
+        ("Flame", ["colour", False, True]),
+        ("Motion", ["speed", True, True]),
+        ("Uncertainty", ["uncertainty", False, True]),
+        ("Flame", ["colour", False, True]),
+    ]:
+        whole.run(f"[...presetButtons()].find((b) => b.textContent === '{name}').click()")
+        assert whole.run(shown) == what and whole.run(pressed) == [name]
+        switches = "[COLOURINGS[document.querySelector('#colours :checked').value], byId('lines').checked]"
+        assert whole.run(switches) == what[:2], "the single switches say the same"
+    opened_anew(whole, single, "t=0")
+    visible = "[...presetButtons()].filter((b) => b.offsetWidth).map((b) => b.textContent)"
+    assert whole.run(visible) == ["Flame", "Motion"], "it does not say how sure it is"
+
+
+def test_a_phone_begins_with_a_wipe(browser, single, page):
+    """Left of the line the recorded frame, right of it the flame over its plate; elsewhere there is no line."""
+    _, g, dataset = page
+    opened_anew(browser, single, "t=200", 390, 844, True)
+    assert browser.run("!byId('wipe').hidden") and browser.run("state.panes.size") == 1
+    left, top, width, height = map(
+        round, browser.run("lensIn(share.cameras[1], canvas.width, canvas.height, 2).picture")
+    )
+    assert (width, height) == (180, 320)
+    camera = dataset.cameras[1].scaled(width, height)
+    expected = np.clip(render(g, camera, 0.2, background=np.full((height, width, 3), 0.3))["color"], 0, 1)
+    for asked, at in [(None, 90), ("wipe=25", 45), ("wipe=100", 180), ("wipe=0", 0)]:
+        if asked:
+            browser.run(f"fromHash('#t=200&{asked}')")
+        shown = now(browser)[top : top + height, left : left + width]
+        np.testing.assert_allclose(shown[:, 1 : max(1, at - 1)], 0.45, atol=0.01)  # 0.25, and 0.1 a frame
+        if at < 180:
+            assert psnr(shown[:, at + 1 :], expected[:, at + 1 :]) > 38
+    browser.run("fromHash('#t=200'), change()")
+    captions = browser.run("[...byId('captions').children].map((p) => p.innerText)")
+    assert captions == ["Filmed, Camera 2\nframe 3 of 6", "Reconstructed"]
+    browser.touch("touchStart", [(300, 200)])
+    browser.touch("touchMove", [(340, 200)])
+    browser.touch("touchEnd", [])
+    turned = now(browser)
+    assert browser.run("byId('wipe').hidden") and browser.run("byId('captions').children.length") == 1
+    assert np.abs(turned[top : top + height, left : left + width // 4] - 0.45).mean() > 0.1, "no filmed picture there"
+    browser.key("0")
+    now(browser)
+    assert not browser.run("byId('wipe').hidden"), "home again"
+    clean_errors(browser)
+
+
+def test_the_line_is_a_slider_for_hands_and_keys(browser, single):
+    opened_anew(browser, single, "t=200", 390, 844, True)
+    nodes = browser.ask("Accessibility.getFullAXTree")["nodes"]
+    (slider,) = [n for n in nodes if "reconstructed" in n.get("name", {}).get("value", "")]
+    assert slider["role"]["value"] == "slider" and slider["value"]["value"] == 50
+    browser.run("byId('wipe').focus()")
+    for key, percent in [
+        ("ArrowRight", 52),
+        ("ArrowLeft", 50),
+        ("ArrowUp", 52),
+        ("Home", 0),
+        ("PageUp", 10),
+        ("End", 100),
+    ]:
+        browser.key(key)
+        assert browser.run("byId('wipe').ariaValueNow") == str(percent), key
+        assert round(100 * browser.run("state.wipe")) == percent and browser.run("atCamera()"), "the view stays"
+    browser.run("fromHash('#t=200'), change()")
+    now(browser)
+    x, y = browser.run(
+        "(({x, y, width, height}) => [x + width / 2, y + height / 2])(byId('wipe').getBoundingClientRect())"
+    )
+    browser.touch("touchStart", [(x, y)])
+    browser.touch("touchMove", [(x + 45, y)])  # a quarter of 180 px
+    browser.touch("touchEnd", [])
+    assert browser.run("state.wipe") == pytest.approx(0.75, abs=0.01) and browser.run("atCamera()")
+    assert "wipe=75" in browser.run("player.toHash()")
+
+
+def test_on_a_phone_the_line_sways_and_not_the_view(browser, single):
+    opened_anew(browser, single, "", 390, 844, True)
+    places = [browser.run("shownWipe()") for _ in range(30) if time.sleep(0.1) is None]
+    assert 0.55 < max(places) <= 0.6 and degrees_from_home(browser) < 1e-4
+    browser.key("Shift")
+    time.sleep(0.6)
+    assert browser.run("[shownWipe(), atCamera()]") == [0.5, True]
+
+
+def test_a_wide_page_offers_the_wipe_beside_two_panes(browser, single):
+    opened_anew(browser, single, "t=200")
+    chip = "[...document.querySelectorAll('#panes label')].find((e) => e.textContent === '{}').firstChild"
+    checked = "[...document.querySelectorAll('#panes :checked')].map((e) => e.nextSibling.textContent)"
+    captions = "byId('captions').children.length"
+    assert browser.run(checked) == ["Filmed", "Reconstructed"] and browser.run("byId('wipe').hidden")
+    browser.run(chip.format("Wipe") + ".click()")
+    now(browser)
+    assert browser.run(checked) == ["Reconstructed", "Wipe"] and not browser.run("byId('wipe').hidden")
+    browser.run("state.view = orbited(state.view, 0.3, 0), change()")
+    now(browser)
+    assert browser.run(checked) == ["Reconstructed"] and browser.run(captions) == 1
+    browser.run(chip.format("Wipe") + ".click()")
+    assert browser.run("atCamera()") and browser.run(checked) == ["Reconstructed", "Wipe"]
+    browser.run(chip.format("Filmed") + ".click()")
+    now(browser)
+    assert browser.run(checked) == ["Filmed", "Reconstructed"] and browser.run("byId('wipe').hidden")
+    assert browser.run(captions) == 2
+
+
+def test_the_snippet_shows_this_file_in_another_page(browser, single):
+    """It names the file and no folder; beside the file, a browser loads the page from it."""
+    opened_anew(browser, single, "t=0")
+    browser.run("navigator.clipboard.writeText = async (text) => { window.taken = text }")
+    browser.run("byId('embed').click()")
+    snippet = browser.run("taken")
+    assert snippet.startswith('<iframe src="one.html" title="') and str(single.parent) not in snippet
+    assert "HTML copied" in browser.run("byId('said').textContent")
+    browser.run("document.title = 'a \"b\" <c>'")
+    assert unescape(re.search('title="([^"]*)"', browser.run("embedding()"))[1]) == 'a "b" <c>'
+    outer = single.parent / "outer.html"
+    outer.write_text(f"<!doctype html><title>outer</title>{snippet}", encoding="utf-8")
+    browser.open(outer.resolve().as_uri())
+    inner = browser.ask("Page.getFrameTree")["frameTree"]["childFrames"]
+    assert [frame["frame"]["url"] for frame in inner] == [page_address(single)]
+
+
 # ---------------------------------------------------------------- hands
 
 
@@ -315,7 +580,7 @@ def test_keys_choose_cameras_colours_lines_and_frames(whole):
         ("3", "state.camera", 2),
         ("c", "COLOURINGS[state.colouring]", "speed"),
         ("c", "COLOURINGS[state.colouring]", "uncertainty"),
-        ("c", "COLOURINGS[state.colouring]", "radiance"),
+        ("c", "COLOURINGS[state.colouring]", "colour"),
         ("v", "state.lines", True),
         ("b", "state.plate", False),
         (".", "state.time", pytest.approx(0.2)),
@@ -418,16 +683,39 @@ def test_everything_that_can_be_reached_has_a_name(whole):
     assert all(name for _, name in names)
     for role, name in [("slider", "Time"), ("button", "Play"), ("button", "Loop"), ("combobox", "Speed")]:
         assert (role, name) in names
-    assert {("radio", "cam_0"), ("radio", "Radiance"), ("checkbox", "Velocity lines"), ("button", "Copy link")} <= names
+    assert {("radio", "Camera 1"), ("checkbox", "Filmed"), ("button", "Motion"), ("button", "Copy link")} <= names
+    assert ("DisclosureTriangle", "More") in names and ("checkbox", "Velocity lines") not in names, "folded"
+    assert whole.run("document.querySelector('#cameras span').title") == "cam_0", (
+        "the file's name, where it is looked for"
+    )
+    whole.run("document.querySelectorAll('details').forEach((e) => (e.open = true))")
+    words = whole.run("document.body.innerText")
+    assert {"Colour", "Filmed", "Splat size"} <= set(words.splitlines())
+    assert not re.search("Radiance|Truth|Recorded|Size of Gaussians|cam_", words)
     assert "milliseconds frame 2 of 6" in whole.run("byId('time').getAttribute('aria-valuetext')")
     reached = []
     whole.run("document.activeElement.blur()")
-    for _ in range(30):
+    for _ in range(40):
         whole.key("Tab")
         reached.append(
             whole.run("document.activeElement.id || document.activeElement.value || document.activeElement.tagName")
         )
-    assert {"canvas", "lines", "plate", "size", "copy", "save", "time", "play", "slow", "loop"} <= set(reached)
+    assert {
+        "flame",
+        "motion",
+        "uncertainty",
+        "embed",
+        "canvas",
+        "lines",
+        "plate",
+        "size",
+        "copy",
+        "save",
+        "time",
+        "play",
+        "slow",
+        "loop",
+    } <= set(reached)
 
 
 def test_a_lost_device_comes_back(whole):

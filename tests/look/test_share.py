@@ -3,6 +3,7 @@
 import json
 import re
 from dataclasses import replace
+from html import unescape
 
 import numpy as np
 import pytest
@@ -13,6 +14,8 @@ from gof.core.fields import VelocityField, VelocitySequence
 from gof.core.gaussians import TransientGaussians
 from gof.core.trajectory import Trajectory
 from gof.dataset import Dataset
+from gof.dataset.pack import pack as pack_dataset
+from gof.dataset.pack import unpack as unpack_dataset
 from gof.io.importers import ImportOptions
 from gof.look.images import frames_within
 from gof.look.player import legend
@@ -174,6 +177,33 @@ def test_a_page_holds_everything_and_asks_for_nothing(tmp_path):
     assert content["frame_s"] == [0, 0.1, 0.2] and content["held_out"] == [1]
     assert content["uncertainty_max"] == pytest.approx(0.3)
     assert made.bytes == made.path.stat().st_size and made.agreement[0].psnr_db > 40
+
+
+def test_makers_and_licence_stand_below_the_title(tmp_path):
+    """Of the card in a packed dataset, else of what a dataset's provenance says; and of none nothing is made up."""
+    dataset = small_dataset(tmp_path / "data")
+    one = Opened("a", "gof", tmp_path / "r.npz", random_gaussians(20))
+
+    def credit_of(dataset) -> str:
+        return content_of(share_page([one], tmp_path / "page.html", dataset).path)["credit"]
+
+    assert credit_of(dataset) == ""
+    archive = pack_dataset(dataset, tmp_path / "packed", "CC-BY-4.0", ("A. Smith | Sons", "B. <Jones>"))
+    unpacked = Dataset.open(unpack_dataset(archive, tmp_path / "unpacked"))
+    assert credit_of(unpacked) == "Made by A. Smith | Sons, B. <Jones>. Licence: CC-BY-4.0."
+    described = dataset.path / "dataset.json"
+    said = json.loads(described.read_text())
+    said["provenance"] = {"authors": ["A", "B"], "licence": "CC0-1.0", "data_set": "x/y", "generator": "1"}
+    described.write_text(json.dumps(said))
+    assert credit_of(Dataset.open(dataset.path)) == "Made by A, B. Licence: CC0-1.0. Data set: x/y."
+
+
+def test_a_link_to_the_page_has_a_title_and_a_description(tmp_path):
+    one = Opened("a", "gof", tmp_path / "r.npz", random_gaussians(20))
+    html = share_page([one], tmp_path / "page.html", title='My "flame" & <more>').path.read_text(encoding="utf-8")
+    found = dict(re.findall(r'<meta property="og:(\w+)" content="([^"]*)">', html))
+    assert set(found) == {"title", "description"} and "turn" in found["description"]
+    assert unescape(found["title"]) == 'My "flame" & <more>'
 
 
 def test_scales_reach_from_0_to_what_is_fast(tmp_path):

@@ -233,7 +233,7 @@ def test_the_page_follows_a_reconstruction_and_the_view_stays(browser, tmp_path)
         browser.run("state.view = orbited(state.view, 0.3, 0.1), state.lines = false, change()")
         camera, stood = camera_of(browser), browser.run("state.view")
         assert psnr(picture(browser), np.clip(render(first, camera, time_s)["color"], 0, 1)) > 45
-        assert browser.run("offered().length") == 2, "radiance and speed: it does not say how sure it is"
+        assert browser.run("offered().length") == 2, "colour and speed: it does not say how sure it is"
         later.save(tmp_path / "snapshot.npz", source="test")
         os.utime(tmp_path / "snapshot.npz", ns=(1, 1))  # a clock that stands is no newer time, but another one
         found = browser.run(
@@ -245,7 +245,7 @@ def test_the_page_follows_a_reconstruction_and_the_view_stays(browser, tmp_path)
         assert psnr(picture(browser), np.clip(render(later, camera, time_s)["color"], 0, 1)) > 45
         assert "snapshot.npz: 90 transient" in browser.run("byId('subtitle').textContent")
         labels = browser.run("[...document.querySelectorAll('#colours span')].map((e) => e.textContent)")
-        assert labels == ["Radiance", "Speed", "Uncertainty"]
+        assert labels == ["Colour", "Speed", "Uncertainty"]
     said = browser.run(
         "(async () => { for (let i = 0; i < 100 && !byId('said').textContent; i++) await pause(100); "
         "return byId('said').textContent; })()"
@@ -288,5 +288,8 @@ def test_nothing_is_offered_that_a_result_does_not_have(browser, tmp_path, tiny_
         browser.errors.clear()
         browser.open(f"http://127.0.0.1:{view.port}/#t=0")
         assert browser.run("offered()") == [0] and browser.run("byId('lines-row').hidden")
+        assert browser.run("byId('presets').hidden") and not browser.run("byId('embed')"), (
+            "no address but this machine's"
+        )
         assert browser.run("share.cameras.map((c) => c.name)") == [c.name for c in Dataset.open(tiny_dataset).cameras]
         assert browser.run("state.playing") is False and browser.errors == []

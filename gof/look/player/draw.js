@@ -3,6 +3,7 @@
 // All of WebGL: Gaussians blended from the back to the front into a float picture, and that over what lies behind.
 
 const TEXELS = 7; // of a Gaussian, four numbers each; splat.glsl says which
+const BELOW_LINES = 0.5; // shine of Gaussians in false colours, so that lines of the same colours are seen
 const ORDER_WIDTH = 1024; // of the texture that says in which order Gaussians are drawn
 
 /** What the shaders read of every Gaussian. */
@@ -147,8 +148,8 @@ class Drawer {
 
   /**
    * shot: view, time (s), grow (factor of sizes), largest and fastest (m/s of the last colour: of Gaussians, of lines), span
-   * (s) and thick (px) of lines.   panes: rectangle (left, top, width, height, px), cloud (number),
-   * splats (whether it is drawn), emissive, colouring, lines ("own", "true" or null), share (of Gaussians with a line), behind (bitmap
+   * (s) and thick (px) of lines, enlarged (see lensIn).   panes: rectangle (left, top, width, height, px), part of it that is
+   * drawn, cloud (number), splats (whether it is drawn), emissive, colouring, lines ("own", "true" or null), share (of Gaussians with a line), behind (bitmap
    * or null) as the camera `filmed` took it, strength.
    */
   draw(shot, panes) {
@@ -164,13 +165,13 @@ class Drawer {
     gl.enable(gl.SCISSOR_TEST);
     for (const pane of panes) {
       gl.viewport(...place(pane.rectangle));
-      gl.scissor(...place(pane.rectangle));
+      gl.scissor(...place(pane.part));
       if (pane.splats) this.gaussians(this.splat, shot, pane);
     }
     gl.bindFramebuffer(gl.FRAMEBUFFER, null);
     panes.forEach((pane, number) => {
       gl.viewport(...place(pane.rectangle));
-      gl.scissor(...place(pane.rectangle));
+      gl.scissor(...place(pane.part));
       gl.disable(gl.BLEND);
       this.composite(pane, number, place(pane.rectangle), shot);
       gl.enable(gl.BLEND);
@@ -182,7 +183,7 @@ class Drawer {
     const { gl } = this;
     const cloud = this.clouds[pane.cloud];
     const [, , width, height] = pane.rectangle;
-    const lens = lensIn(shot.view.camera, width, height);
+    const lens = lensIn(shot.view.camera, width, height, shot.enlarged);
     gl.useProgram(program);
     gl.activeTexture(gl.TEXTURE0);
     gl.bindTexture(gl.TEXTURE_2D, cloud.texture);
@@ -228,7 +229,8 @@ class Drawer {
     gl.uniform1i(uniforms.behind, 1);
     gl.uniform1f(uniforms.strength, pane.behind ? pane.strength : 0);
     gl.uniform1i(uniforms.emissive, pane.emissive ? 1 : 0);
-    gl.uniform4fv(uniforms.picture, lensIn(pane.filmed, width, height).picture);
+    gl.uniform1f(uniforms.shine, pane.lines && pane.colouring ? BELOW_LINES : 1);
+    gl.uniform4fv(uniforms.picture, lensIn(pane.filmed, width, height, shot.enlarged).picture);
     gl.uniform2f(uniforms.origin, left, bottom);
     gl.uniform2f(uniforms.size, width, height);
     gl.bindVertexArray(this.none);

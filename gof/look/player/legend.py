@@ -9,16 +9,21 @@ import numpy as np
 from gof.core.gaussians import TransientGaussians
 from gof.evaluate.intervals import weighted_quantile
 
+DESCRIPTION = "A flame in 3D: drag to turn it, stop it, slow it down to 1/100."  # where a link to the page is shown
+HINT = "Drag to turn: this is not a film"
+
 # Controls, in the order in which the page shows them
+PRESETS = {"flame": "Flame", "motion": "Motion", "uncertainty": "Uncertainty"}  # player.js says what each shows
 CAMERA = "Camera"
-COLOUR = "Colour"
+COMPARED = "Compare"
+COLOURED = "Show"
 COLOURS = (
-    "Radiance",
+    "Colour",
     "Speed",
     "Uncertainty",
 )  # of the light; of the gas, m/s; standard deviation of its components, m/s
 LINES = "Velocity lines"
-SIZE = "Size of Gaussians"
+SIZE = "Splat size"
 SIZE_PERCENT = (5, 150, 5)  # least, most, step; 100 = as they are
 RESET = "Reset view"
 TIME = "Time"

@@ -23,7 +23,7 @@ async function follow() {
       const answer = await fetch(`news?have=${encodeURIComponent(share.stamp)}`);
       if (answer.status === 200) {
         adopt(await answer.json());
-        if (!offered().includes(state.colouring)) state.colouring = RADIANCE;
+        if (!offered().includes(state.colouring)) state.colouring = COLOUR;
         offer();
         change();
       }

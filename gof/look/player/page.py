@@ -1,13 +1,15 @@
 """The player's page, and `gof share`: one HTML file that plays from the disk, without a network.
 
 The page's own code lies beside this file: `unpack.js` turns the columns of `quantise.py` into numbers, `sort.js` orders
-them in a worker, `draw.js` and the shaders draw, `view.js` turns the camera, `player.js` is what people touch.
-`live.py` serves the same page to this machine.
+them in a worker, `draw.js` and the shaders draw, `view.js` turns the camera, `greet.js` is the page's first seconds,
+`links.js` its state as an address, `player.js` is what people touch. `live.py` serves the same page to this machine.
 """
 
 from __future__ import annotations
 
+import base64
 import hashlib
+import io
 import json
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
@@ -15,6 +17,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from PIL import Image
 
 import gof
 from gof.core.cameras import Camera
@@ -23,6 +26,7 @@ from gof.core.fields import VelocitySequence
 from gof.core.files import atomic_path
 from gof.core.gaussians import TransientGaussians
 from gof.dataset import Dataset
+from gof.dataset.pack import read_credit
 from gof.dataset.plates import background
 from gof.look.images import PLATE_QUALITY, PLATE_SIDE, VIRIDIS, base64_text, frames_within, ramp, webp
 from gof.look.pages import template
@@ -31,11 +35,13 @@ from gof.look.player.opened import G, Opened, middle_of, time_span
 from gof.look.player.quantise import Agreement, Packed, measure, pack, unpack
 
 PLAYER = Path(__file__).parent
-SCRIPTS = ("unpack.js", "view.js", "draw.js", "pictures.js", "player.js")
+SCRIPTS = ("unpack.js", "view.js", "draw.js", "pictures.js", "greet.js", "links.js", "player.js")
 LIVE = "live.js"  # of the page of `gof view` alone
 SHADERS = ("splat.glsl", "line.glsl", "pane.glsl")  # each a shader of corners, then one of fragments
 FRAGMENTS = "//// the fragments\n"
 FILLED = 0.65  # of the picture's height, by the flame, where no dataset has a camera
+# In dataset.json, what its provenance may say for people to read.
+CREDITS = {"authors": "Made by {}.", "licence": "Licence: {}.", "data_set": "Data set: {}."}
 CHECKED = 3  # cameras, and times, at which quantisation is measured
 
 
@@ -103,6 +109,7 @@ class PageSetting:
             "lines": legend.MOST_LINES,
             "scheme": ramp(VIRIDIS).ravel().tolist(),
             "colours": legend.COLOURS,
+            "credit": "" if dataset is None else credit(dataset),
             "notes": {
                 "speed": legend.SPEED_NOTE,
                 "uncertainty": legend.UNCERTAINTY_NOTE,
@@ -184,6 +191,19 @@ def share_page(
 def title_of(results: Sequence[Opened], dataset: Dataset | None) -> str:
     """Return a page's usual heading."""
     return results[0].name if dataset is None else dataset.description.name
+
+
+def credit(dataset: Dataset) -> str:
+    """Return a dataset's makers and licence in words: of the card of `gof pack`, else of its provenance; empty where
+    neither says."""
+    if said := read_credit(dataset.path):
+        return said
+    made = dataset.description.provenance
+    found = {name: made[name] for name in CREDITS if made.get(name)}
+    return " ".join(
+        CREDITS[name].format(", ".join(map(str, value)) if isinstance(value, list) else value)
+        for name, value in found.items()
+    )
 
 
 def measured_alike(results: list[Opened[G]], dataset: Dataset | None) -> list[Opened[G]]:
@@ -274,7 +294,14 @@ def _camera(camera: Camera, plate: str | None, frames: list[str | None] | None) 
         "pose": camera.world_to_camera[:3].ravel().tolist(),
         "plate": plate,
         "frames": frames,
+        "picture_width": _width(frames or []),
     }
+
+
+def _width(frames: list[str | None]) -> int | None:
+    """Return the width in px of a camera's recorded pictures; None where it has none."""
+    first = next(filter(None, frames), None)
+    return None if first is None else Image.open(io.BytesIO(base64.b64decode(first))).width
 
 
 def _checked(gaussians: TransientGaussians, packed: Packed, setting: PageSetting) -> Agreement:
@@ -300,7 +327,7 @@ def _facts(
         facts.append(("quantised", f"{len(p.data) / p.count:.0f} bytes each; {in_words(a)}"))
     if dataset is not None:
         facts.append(("dataset", dataset.description.name))
-        facts.append(("recorded", recorded))
+        facts.append(("filmed", recorded))
     return [*facts, ("made by", f"gof {gof.__version__}")]
 
 

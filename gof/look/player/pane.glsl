@@ -13,6 +13,7 @@ uniform sampler2D blended;
 uniform sampler2D behind;
 uniform float strength; // of the picture behind
 uniform bool emissive;  // light that is added
+uniform float shine;    // of the Gaussians
 uniform vec4 picture;   // where it lies in the pane: left, top, width, height, px from the top left
 uniform vec2 origin;    // of the pane in the canvas, px from the bottom left
 uniform vec2 size;      // of the pane, px
@@ -28,6 +29,7 @@ vec3 toDisplay(vec3 linear) {
 
 void main() {
   vec4 front = texelFetch(blended, ivec2(gl_FragCoord.xy), 0);
+  front.rgb *= shine;
   vec2 pixel = vec2(gl_FragCoord.x - origin.x, size.y - (gl_FragCoord.y - origin.y));
   vec2 at = (pixel - picture.xy) / picture.zw;
   vec3 back = vec3(0.0);

@@ -2,12 +2,21 @@
 
 // The page: what is shown, who may change it, and a loop that draws it when it has changed.
 
-const RADIANCE = 0, SPEED = 1, UNCERTAINTY = 2;
-const COLOURINGS = ["radiance", "speed", "uncertainty"];
+const COLOUR = 0, SPEED = 1, UNCERTAINTY = 2;
+const COLOURINGS = ["colour", "speed", "uncertainty"];
+/** What each of the first buttons shows. */
+const PRESETS = {
+  flame: { colouring: COLOUR, lines: false, plate: true },
+  motion: { colouring: SPEED, lines: true },
+  uncertainty: { colouring: UNCERTAINTY, lines: false },
+};
 const TRUTH_OF = { [SPEED]: 3, [UNCERTAINTY]: 4 }; // how the true velocity colours the same Gaussians (splat.glsl)
 const GUESSED_DEGREES = 20; // from the nearest camera on, a flame's shape is a guess
 const FADE_DEGREES = 4; // a plate is true for its camera only: it is gone this far from it
 const STILL_MS = 250; // after this the picture is drawn in full resolution
+const ENLARGED = 2; // CSS pixels, at most, to a pixel of a recorded picture
+const ROOM = 1.3; // widths of such a picture to its pane, so that what is turned out of it is seen
+const NARROW = "(max-width: 760px)"; // as in style.css
 
 const byId = (id) => document.getElementById(id);
 const share = JSON.parse(byId("share").textContent);
@@ -25,11 +34,12 @@ const pictures = new Pictures(share.cameras);
 const hasFrames = share.cameras.some((camera) => camera.frames);
 const hasTruth = clouds.some(({ columns }) => columns.v_true);
 const RECORDED = share.results.length; // the number of the pane beside the results' own
+const WIPE = RECORDED + 1; // of the choice beside the panes
 
 const state = {
   time: 0, playing: false, slow: 10, loop: true,
-  camera: share.start, view: null, colouring: RADIANCE, lines: false, plate: true, size: 1,
-  panes: new Set([0]),
+  camera: share.start, view: null, colouring: COLOUR, lines: false, plate: true, size: 1,
+  panes: new Set([0]), wipe: null, // share of the picture, from the left, that is the filmed one; null: no wipe
 };
 let dirty = true;
 let wake = () => {};
@@ -70,10 +80,10 @@ function atCamera() {
 }
 
 /** 1 where the camera stands, 0 some degrees away. */
-function nearness() {
+function nearness(view) {
   const home = homeView();
-  const turn = Math.max(...home.axes.map((axis, i) => Math.acos(Math.min(1, dot(axis, state.view.axes[i])))));
-  const moved = Math.hypot(...add(home.eye, state.view.eye, -1)) / reach(home);
+  const turn = Math.max(...home.axes.map((axis, i) => Math.acos(Math.min(1, dot(axis, view.axes[i])))));
+  const moved = Math.hypot(...add(home.eye, view.eye, -1)) / reach(home);
   return Math.max(0, 1 - Math.max(turn, moved) / ((FADE_DEGREES * Math.PI) / 180));
 }
 
@@ -89,42 +99,61 @@ function awayFromCameras() {
   return along.length ? (Math.acos(Math.min(1, Math.max(-1, ...along))) * 180) / Math.PI : 0;
 }
 
+/** Whether the filmed picture wipes over the reconstructed one: only in its camera's own view, for it has no other. */
+function wiping() {
+  if (state.wipe === null || !atCamera()) return false;
+  const truth = state.colouring !== COLOUR && clouds[0].columns.v_true;
+  return !!(truth || share.cameras[state.camera].frames?.every(Boolean));
+}
+
+/** Pixels of the canvas, at most, to a pixel of the recorded pictures: only while they are compared. */
+function enlarged(ratio) {
+  return state.wipe !== null || state.panes.has(RECORDED) ? ENLARGED * ratio : Infinity;
+}
+
 function frameAt(time) {
   const times = share.frame_s;
   if (!times.length) return -1;
   return times.reduce((best, t, i) => (Math.abs(t - time) < Math.abs(times[best] - time) ? i : best), 0);
 }
 
-/** Rectangles [left, top, width, height] for so many panes: the grid in which the camera's picture is largest. */
-function grid(count, width, height, camera) {
-  const scale = (columns) =>
-    Math.min(width / columns / camera.width, height / Math.ceil(count / columns) / camera.height);
+/**
+ * Rectangles [left, top, width, height] for so many panes: the grid in which the camera's picture is largest. Where it may
+ * not be as large as its pane, panes side by side come near each other.
+ */
+function grid(count, width, height, camera, most) {
+  const across = (columns) => lensIn(camera, width / columns, height / Math.ceil(count / columns), most).picture[2];
   let columns = 1;
-  for (let c = 2; c <= count; c++) if (scale(c) >= scale(columns) * 0.999) columns = c;
+  for (let c = 2; c <= count; c++) if (across(c) >= across(columns) * 0.999) columns = c;
   const rows = Math.ceil(count / columns);
+  const used = columns > 1 && most < Infinity ? Math.min(width, columns * ROOM * across(columns)) : width;
   const edge = (i, parts, length) => Math.round((i * length) / parts);
   return Array.from({ length: count }, (_, i) => {
     const [column, row] = [i % columns, Math.floor(i / columns)];
-    const [left, top] = [edge(column, columns, width), edge(row, rows, height)];
-    return [left, top, edge(column + 1, columns, width) - left, edge(row + 1, rows, height) - top];
+    const [left, top] = [edge(column, columns, used), edge(row, rows, height)];
+    return [left + Math.round((width - used) / 2), top, edge(column + 1, columns, used) - left, edge(row + 1, rows, height) - top];
   });
 }
 
 /** Draw what the state says, and what the panes are called. Resolves when it is on the canvas. */
 async function paint(scale) {
   if (share.sampled) await goToInstant();
-  const { view, time, colouring } = state;
+  const { time, colouring } = state;
+  const view = swayed(state.view);
   const these = clouds;
-  const numbers = [...state.panes].sort((a, b) => (a === RECORDED ? -1 : b === RECORDED ? 1 : a - b));
+  const wipe = wiping();
+  const numbers = panes();
+  if (wipe) numbers.splice(0, numbers.length, RECORDED, numbers.find((number) => number !== RECORDED));
   const shown = numbers.map((number) => (number === RECORDED ? 0 : number));
   const once = [...new Set(shown)]; // the recorded pane shows the first result's Gaussians
   const frame = frameAt(time);
   const here = atCamera();
   const filmed = here ? state.camera : nearest();
-  const filming = colouring === RADIANCE && frame >= 0 && (here || !(state.lines && hasTruth)); // lines are in this view
+  const truth = !!clouds[0].columns.v_true; // where it is not known, the filmed picture stands in its place
+  const filming = frame >= 0 && (truth ? colouring === COLOUR && (here || !state.lines) : true); // lines are in this view
   const [{ orders, ms }, plate, picture] = await Promise.all([
     sorted({ shown: once, time, eye: view.eye, forward: view.axes[2] }),
-    state.plate && colouring === RADIANCE ? pictures.plate(state.camera) : null,
+    state.plate && colouring === COLOUR ? pictures.plate(state.camera) : null,
     filming ? pictures.frame(filmed, frame) : null,
   ]);
   if (these !== clouds) return paint(scale); // others came while these were sorted
@@ -132,16 +161,19 @@ async function paint(scale) {
   const canvas = byId("canvas");
   const size = [canvas.clientWidth, canvas.clientHeight].map((length) => Math.max(1, Math.round(length * ratio)));
   drawer.resize(...size);
-  const strength = nearness();
-  const panes = grid(numbers.length, ...size, view.camera).map((rectangle, i) => {
+  const strength = nearness(view);
+  const edge = wipe ? wipeEdge(...size, ratio) : 0;
+  const rectangles = wipe ? numbers.map(() => [0, 0, ...size]) : grid(numbers.length, ...size, view.camera, enlarged(ratio));
+  const shownPanes = rectangles.map((rectangle, i) => {
     const own = numbers[i] !== RECORDED;
     const known = !!clouds[shown[i]].columns.v_true;
     return {
       rectangle,
+      part: !wipe ? rectangle : own ? [edge, 0, size[0] - edge, size[1]] : [0, 0, edge, size[1]],
       cloud: shown[i],
-      splats: own || (known && colouring !== RADIANCE),
-      emissive: clouds[shown[i]].emissive && colouring === RADIANCE, // other colours are no light
-      colouring: own ? colouring : TRUTH_OF[colouring] ?? RADIANCE,
+      splats: own || (known && colouring !== COLOUR),
+      emissive: clouds[shown[i]].emissive && colouring === COLOUR, // other colours are no light
+      colouring: own ? colouring : TRUTH_OF[colouring] ?? COLOUR,
       lines: !state.lines ? null : own ? "own" : known ? "true" : null,
       share: Math.min(1, share.lines / clouds[shown[i]].count),
       behind: own ? plate : picture,
@@ -151,18 +183,19 @@ async function paint(scale) {
   });
   orders.forEach((rows, i) => drawer.order(once[i], rows));
   const largest = colouring === UNCERTAINTY ? share.uncertainty_max : share.speed_max;
-  const shot = { view, time, grow: state.size, largest, fastest: share.speed_max, span: share.line_s, thick: 1.6 * ratio };
-  drawer.draw(shot, panes);
+  const shot = { view, time, grow: state.size, largest, fastest: share.speed_max, span: share.line_s, thick: 1.6 * ratio, enlarged: enlarged(ratio) };
+  drawer.draw(shot, shownPanes);
   measured.sort = ms;
   measured.shown = orders.reduce((sum, rows) => sum + rows.length, 0);
-  name(numbers, panes, { frame, here, filmed }, ratio);
+  name(numbers, shownPanes, { frame, here, filmed, wipe }, ratio);
+  placeDivider(wipe, ratio);
 }
 
-/** What every pane shows, at its corner. */
-function name(numbers, panes, shot, ratio) {
+/** What every pane shows, at its corner; of a wipe, at the corner of its side. */
+function name(numbers, shownPanes, shot, ratio) {
   const captions = byId("captions");
-  while (captions.children.length > panes.length) captions.lastChild.remove();
-  panes.forEach(({ rectangle, cloud, behind }, i) => {
+  while (captions.children.length > shownPanes.length) captions.lastChild.remove();
+  shownPanes.forEach(({ rectangle, cloud, behind }, i) => {
     const p = captions.children[i] ?? captions.appendChild(document.createElement("p"));
     const [title, note] = caption(numbers[i], cloud, shot, behind);
     if (p.dataset.says !== title + note) {
@@ -171,31 +204,54 @@ function name(numbers, panes, shot, ratio) {
       small.textContent = note;
       p.replaceChildren(title, small);
     }
-    const [left, top, width] = lensIn(share.cameras[state.camera], rectangle[2], rectangle[3]).picture;
-    p.style.left = `${(rectangle[0] + left) / ratio}px`;
+    const [left, top, width] = lensIn(share.cameras[state.camera], rectangle[2], rectangle[3], enlarged(ratio)).picture;
+    const right = shot.wipe && i === 1;
+    p.className = right ? "right" : "";
+    p.style.width = right ? "" : `${(shot.wipe ? width / 2 : width) / ratio}px`;
+    p.style.left = `${(rectangle[0] + left + (right ? width : 0)) / ratio}px`;
     p.style.top = `${(rectangle[1] + top) / ratio}px`;
-    p.style.maxWidth = `${width / ratio}px`;
   });
 }
 
-function caption(number, cloud, { frame, here, filmed }, behind) {
+/** Where the filmed picture ends, px of the canvas from its left. */
+function wipeEdge(width, height, ratio) {
+  const [left, , across] = lensIn(share.cameras[state.camera], width, height, enlarged(ratio)).picture;
+  return Math.round(left + across * shownWipe());
+}
+
+function placeDivider(wipe, ratio) {
+  const divider = byId("wipe");
+  divider.hidden = !wipe;
+  if (!wipe) return;
+  const { width, height } = byId("canvas");
+  const [, top, , high] = lensIn(share.cameras[state.camera], width, height, enlarged(ratio)).picture;
+  divider.style.left = `${wipeEdge(width, height, ratio) / ratio}px`;
+  divider.style.top = `${top / ratio}px`;
+  divider.style.height = `${high / ratio}px`;
+}
+
+/** Where a camera's number is what people read, its name is a file's. */
+const cameraLabel = (camera) => `Camera ${camera + 1}`;
+const resultLabel = (result) => (share.results.length > 1 ? share.results[result].name : "Reconstructed");
+
+function caption(number, cloud, { frame, here, filmed, wipe }, behind) {
   const { colouring } = state;
   if (number !== RECORDED) {
     const away = awayFromCameras();
     const guess = away < GUESSED_DEGREES ? "" : `${Math.round(away)}\u00b0 from the nearest camera: its shape is a guess`;
-    return [panes().length > 1 || share.results.length > 1 ? share.results[number].name : "", guess];
+    return [wipe || state.panes.size > 1 || share.results.length > 1 ? resultLabel(number) : "", guess];
   }
   const known = clouds[cloud].columns.v_true;
-  const whose = `at the Gaussians of ${share.results[cloud].name}`;
-  if (colouring === SPEED) return known ? ["True speed", whose] : ["True speed", "this dataset does not know it"];
-  if (colouring === UNCERTAINTY) return known ? ["True error of the velocity", `of a component, ${whose}`] : ["True error", "not known"];
+  const whose = `at the Gaussians of ${share.results.length > 1 ? share.results[cloud].name : "the reconstruction"}`;
+  if (colouring === SPEED && known) return ["True speed", whose];
+  if (colouring === UNCERTAINTY && known) return ["True error of the velocity", `of a component, ${whose}`];
   if (behind) {
     const held = share.held_out.includes(frame) ? ", held out" : "";
     const where = here ? "" : ", the nearest camera's own view";
-    return [`Recorded, ${share.cameras[filmed].name}`, `frame ${frame + 1} of ${share.frame_s.length}${held}${where}`];
+    return [`Filmed, ${cameraLabel(filmed)}`, `frame ${frame + 1} of ${share.frame_s.length}${held}${where}`];
   }
   if (state.lines && known) return ["True velocity", whose];
-  return ["Recorded", "this camera's pictures are not in this file"];
+  return ["Filmed", "this camera's pictures are not in this file"];
 }
 
 function change(byHand = false) {
@@ -209,15 +265,16 @@ function change(byHand = false) {
 }
 
 function moves() {
-  return state.playing || performance.now() - touched < STILL_MS;
+  return state.playing || sway.since !== null || performance.now() - touched < STILL_MS;
 }
 
 const animationFrame = () => new Promise((resolve) => requestAnimationFrame(resolve));
 
-async function loop() {
+/** first: called once something is on the canvas. */
+async function loop(first) {
   let before = 0;
   for (;;) {
-    if (!dirty && !state.playing) {
+    if (!dirty && !state.playing && sway.since === null) {
       await new Promise((resolve) => (wake = resolve));
       before = 0;
     }
@@ -233,6 +290,8 @@ async function loop() {
       return;
     }
     show();
+    first?.();
+    first = null;
   }
 }
 
@@ -263,15 +322,20 @@ function offer() {
   chips("colours", "radio", offered().map((n) => [n, share.colours[n]]), (n) => n === state.colouring, chooseColouring);
   byId("lines-row").hidden = !(share.speed_max > 0);
   byId("subtitle").textContent = share.subtitle;
+  byId("credit").textContent = share.credit;
+  for (const button of presetButtons()) button.hidden = !offered().includes(PRESETS[button.value].colouring);
+  byId("presets").hidden = offered().length < 2;
 }
 
-/** Round buttons of which one (radio) or any number (checkbox) is chosen. */
+const presetButtons = () => byId("presets").querySelectorAll("button");
+
+/** Round buttons of which one (radio) or any number (checkbox) is chosen. names: [value, text, title]. */
 function chips(field, kind, names, chosen, choose) {
   const box = byId(field).querySelector(".chips");
-  names.forEach(([value, text]) => {
+  names.forEach(([value, text, title = text]) => {
     const label = document.createElement("label");
     const input = Object.assign(document.createElement("input"), { type: kind, name: field, value });
-    const span = Object.assign(document.createElement("span"), { textContent: text, title: text });
+    const span = Object.assign(document.createElement("span"), { textContent: text, title });
     input.checked = chosen(value);
     input.addEventListener("change", () => choose(value, input.checked));
     label.append(input, span);
@@ -284,15 +348,20 @@ function check(field, chosen) {
   for (const input of byId(field).querySelectorAll("input")) input.checked = chosen(Number(input.value));
 }
 
+/** The filmed picture first, then the results in their order. */
 function panes() {
-  return [...state.panes];
+  return [...state.panes].sort((a, b) => (a === RECORDED ? -1 : b === RECORDED ? 1 : a - b));
 }
 
-/** All results and what was recorded, where there is room; on a phone two results at most. */
+/** All results and what was filmed, where there is room; on a phone two results at most, or one with a wipe. */
 function usualPanes() {
-  const wide = window.matchMedia("(min-width: 761px)").matches;
-  const results = share.results.map((_, i) => i).slice(0, wide ? 4 : 2);
-  return wide && hasFrames ? [...results, RECORDED] : results;
+  const narrow = window.matchMedia(NARROW).matches;
+  const results = share.results.map((_, i) => i).slice(0, narrow ? 2 : 4);
+  return narrow || !hasFrames ? results : [...results, RECORDED];
+}
+
+function usualWipe() {
+  return window.matchMedia(NARROW).matches && hasFrames && share.results.length === 1 ? 0.5 : null;
 }
 
 function chooseCamera(number) {
@@ -303,9 +372,31 @@ function chooseCamera(number) {
 }
 
 function choosePane(number, on) {
+  if (number === WIPE) return chooseWipe(on);
+  state.wipe = null;
   if (on) state.panes.add(number);
   else if (state.panes.size > 1) state.panes.delete(number);
-  check("panes", (value) => state.panes.has(value));
+  change();
+}
+
+/** One pane, filmed to the left and the first result shown to the right; from another view, back in the camera's. */
+function chooseWipe(on) {
+  state.wipe = on ? state.wipe ?? 0.5 : null;
+  if (on) {
+    state.panes = new Set([panes().find((number) => number !== RECORDED) ?? 0]);
+    if (!atCamera()) state.view = homeView();
+  }
+  change();
+}
+
+/** Move the wipe's divider to a share of the picture, from its left. */
+function wipeTo(part) {
+  state.wipe = Math.max(0, Math.min(1, part));
+  change(true);
+}
+
+function choosePreset(name) {
+  Object.assign(state, PRESETS[name]);
   change();
 }
 
@@ -328,7 +419,7 @@ function step(direction) {
 }
 
 const milliseconds = (s) => (1e3 * s).toFixed(1);
-const offered = () => [RADIANCE, SPEED, UNCERTAINTY].filter((n) => n === RADIANCE || (n === SPEED ? share.speed_max : share.uncertainty_max) > 0);
+const offered = () => [COLOUR, SPEED, UNCERTAINTY].filter((n) => n === COLOUR || (n === SPEED ? share.speed_max : share.uncertainty_max) > 0);
 
 /** Bring the controls in line with the state. */
 function show() {
@@ -347,6 +438,17 @@ function show() {
   const here = atCamera();
   check("cameras", (value) => here && value === state.camera);
   check("colours", (value) => value === state.colouring);
+  const wipe = wiping();
+  check("panes", (value) => (value === WIPE ? wipe : state.panes.has(value)));
+  for (const button of presetButtons()) {
+    const shows = Object.entries(PRESETS[button.value]).every(([key, value]) => state[key] === value);
+    button.setAttribute("aria-pressed", shows);
+  }
+  if (wipe) {
+    const percent = Math.round(100 * state.wipe);
+    byId("wipe").setAttribute("aria-valuenow", percent);
+    byId("wipe").setAttribute("aria-valuetext", `${percent} % filmed, ${100 - percent} % reconstructed`);
+  }
   byId("lines").checked = state.lines;
   byId("plate").checked = state.plate;
   byId("loop").setAttribute("aria-pressed", state.loop);
@@ -363,7 +465,7 @@ function show() {
 /** The legend in m/s of whatever is coloured by a velocity. */
 function showScale() {
   const uncertainty = state.colouring === UNCERTAINTY;
-  const visible = state.colouring !== RADIANCE || state.lines;
+  const visible = state.colouring !== COLOUR || state.lines;
   byId("scale").hidden = !visible;
   const says = `${uncertainty} ${visible} ${state.colouring} ${state.lines} ${share.speed_max} ${share.uncertainty_max}`;
   if (!visible || byId("scale").dataset.says === says) return;
@@ -409,66 +511,7 @@ function fail(error) {
   byId("failure").hidden = false;
 }
 
-// ---------------------------------------------------------------- links
-
-/** View, time and what is shown, as it stands behind the # of the page's address. */
-function toHash() {
-  const said = new URLSearchParams({ t: milliseconds(state.time), cam: share.cameras[state.camera].name });
-  if (!atCamera()) said.set("view", viewToText(state.view));
-  if (state.colouring) said.set("colour", COLOURINGS[state.colouring]);
-  if (state.lines) said.set("lines", 1);
-  if (!state.plate) said.set("plate", 0);
-  if (state.size !== 1) said.set("size", state.size);
-  if (state.slow !== 10) said.set("slow", state.slow);
-  said.set("show", panes().map((n) => (n === RECORDED ? "recorded" : n)).join(" "));
-  return said.toString();
-}
-
-/**
- * Whether the address said a time. What it does not say, or says and cannot be, is as on a page just opened: a link means
- * the same whatever was shown before.
- */
-function fromHash(hash) {
-  const said = new URLSearchParams(hash.replace(/^#/, ""));
-  const number = (key, low, high) => {
-    const value = said.has(key) ? Number(said.get(key)) : NaN;
-    return Number.isFinite(value) ? Math.min(high, Math.max(low, value)) : null;
-  };
-  const camera = share.cameras.findIndex(({ name }) => name === said.get("cam"));
-  state.camera = camera >= 0 ? camera : share.start;
-  state.view = (said.has("view") && viewFromText(said.get("view"), share.cameras[state.camera])) || homeView();
-  const time = number("t", 0, 1e3 * share.length_s);
-  if (time !== null) state.time = time / 1e3;
-  const named = said.get("colour") === "doubt" ? "uncertainty" : said.get("colour"); // links of 0.2
-  const colouring = COLOURINGS.indexOf(named);
-  state.colouring = offered().includes(colouring) ? colouring : RADIANCE;
-  state.lines = said.get("lines") === "1";
-  state.plate = said.get("plate") !== "0";
-  state.size = number("size", 0.05, 1.5) ?? 1;
-  state.slow = [1, 2, 5, 10, 20, 50, 100].includes(number("slow", 1, 100)) ? number("slow", 1, 100) : 10;
-  const wanted = (said.get("show") ?? "").split(" ").map((name) => (name === "recorded" ? RECORDED : parseInt(name, 10)));
-  const found = wanted.filter((n) => (n === RECORDED ? hasFrames || hasTruth : share.results[n]));
-  state.panes = new Set(found.length ? found : usualPanes());
-  document.body.classList.toggle("bare", said.get("bare") === "1");
-  if (said.get("play") === "1") state.playing = true;
-  return time !== null;
-}
-
-async function copyLink() {
-  const link = `${location.href.split("#")[0]}#${toHash()}`;
-  history.replaceState(null, "", `#${toHash()}`);
-  try {
-    await navigator.clipboard.writeText(link);
-  } catch {
-    const area = Object.assign(document.createElement("textarea"), { value: link });
-    document.body.append(area);
-    area.select();
-    const done = document.execCommand("copy");
-    area.remove();
-    if (!done) return say("The link is in the address bar");
-  }
-  say("Link copied: this view, this time");
-}
+// ---------------------------------------------------------------- hands
 
 async function savePicture() {
   await paint(1);
@@ -479,8 +522,6 @@ async function savePicture() {
   });
 }
 
-// ---------------------------------------------------------------- hands
-
 function listen() {
   const canvas = byId("canvas");
   const fingers = new Map();
@@ -490,7 +531,7 @@ function listen() {
   };
   const move = (dx, dy) => {
     const { camera } = state.view;
-    const scale = lensIn(camera, canvas.clientWidth, canvas.clientHeight).focal[0] / reach(state.view);
+    const scale = lensIn(camera, canvas.clientWidth, canvas.clientHeight, enlarged(1)).focal[0] / reach(state.view);
     state.view = panned(state.view, -dx / scale / reach(state.view), -dy / scale / reach(state.view));
     change(true);
   };
@@ -552,7 +593,9 @@ function listen() {
   byId("lines").addEventListener("change", (event) => ((state.lines = event.target.checked), change()));
   byId("plate").addEventListener("change", (event) => ((state.plate = event.target.checked), change()));
   byId("size").addEventListener("input", (event) => ((state.size = event.target.value / 100), change(true)));
+  for (const button of presetButtons()) button.addEventListener("click", () => choosePreset(button.value));
   byId("copy").addEventListener("click", copyLink);
+  byId("embed")?.addEventListener("click", copyEmbedding);
   byId("save").addEventListener("click", savePicture);
   byId("reset").addEventListener("click", () => chooseCamera(state.camera));
   byId("about").addEventListener("toggle", showFacts);
@@ -563,10 +606,27 @@ function listen() {
   });
   window.addEventListener("hashchange", () => {
     if (fromHash(location.hash)) state.playing = false;
-    check("panes", (value) => state.panes.has(value));
     change();
   });
   window.addEventListener("keydown", pressed);
+  listenToDivider();
+}
+
+function listenToDivider() {
+  const divider = byId("wipe");
+  divider.addEventListener("pointerdown", (event) => divider.setPointerCapture(event.pointerId));
+  divider.addEventListener("pointermove", (event) => {
+    if (!divider.hasPointerCapture(event.pointerId)) return;
+    const canvas = byId("canvas");
+    const [left, , width] = lensIn(share.cameras[state.camera], canvas.clientWidth, canvas.clientHeight, enlarged(1)).picture;
+    wipeTo((event.clientX - canvas.getBoundingClientRect().left - left) / width);
+  });
+  divider.addEventListener("keydown", (event) => {
+    const step = { ArrowLeft: -0.02, ArrowDown: -0.02, ArrowRight: 0.02, ArrowUp: 0.02, PageDown: -0.1, PageUp: 0.1, Home: -1, End: 1 }[event.key];
+    if (!step) return;
+    wipeTo(state.wipe + step);
+    event.preventDefault();
+  });
 }
 
 function closePanel() {
@@ -621,15 +681,18 @@ function begin() {
   drawer = new Drawer(byId("canvas"), shaders, clouds, share.scheme);
   sorted = startSorter();
   const still = window.matchMedia("(prefers-reduced-motion: reduce)").matches;
+  const linked = location.hash.length > 1;
   if (!fromHash(location.hash) && !still) state.playing = share.length_s > 0;
-  chips("cameras", "radio", share.cameras.map(({ name }, i) => [i, name]), () => false, chooseCamera);
-  const recorded = hasFrames || hasTruth ? [[RECORDED, hasTruth ? "Truth" : "Recorded"]] : [];
-  chips("panes", "checkbox", [...recorded, ...share.results.map(({ name }, i) => [i, name])], (n) => state.panes.has(n), choosePane);
+  chips("cameras", "radio", share.cameras.map(({ name }, i) => [i, cameraLabel(i), name]), () => false, chooseCamera);
+  const recorded = hasFrames || hasTruth ? [[RECORDED, "Filmed"]] : [];
+  const wipe = hasFrames ? [[WIPE, "Wipe", "Filmed and reconstructed in one picture, with a line to drag"]] : [];
+  const results = share.results.map(({ name }, i) => [i, resultLabel(i), name]);
+  chips("panes", "checkbox", [...recorded, ...results, ...wipe], () => false, choosePane);
   offer();
   byId("plate-row").hidden = !share.cameras.some((camera) => camera.plate);
   listen();
   show();
-  loop();
+  loop(() => greet(still || linked));
   if (share.live) follow();
 }
 

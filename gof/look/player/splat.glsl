@@ -13,7 +13,7 @@ uniform highp usampler2D order; // rows of the cloud, farthest first; four verti
 uniform sampler2D cloud;  // texels of a Gaussian: x0 t_mu | v 1/t_sigma | cov | cov opacity v_sd | rgb | v_gas | v_true
 uniform int perLine;      // Gaussians in a line of the texture
 uniform sampler2D scheme; // colours of numbers
-uniform int colouring;    // 0 radiance, 1 speed, 2 uncertainty, 3 true speed, 4 true error
+uniform int colouring;    // 0 the Gaussians' own, 1 speed, 2 uncertainty, 3 true speed, 4 true error
 uniform float largest;    // m/s of the scheme's last colour
 uniform float time;       // s
 uniform float grow;       // factor of all sizes

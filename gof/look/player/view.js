@@ -48,9 +48,13 @@ function reach(view) {
   return Math.max(Math.hypot(...add(view.eye, view.pivot, -1)), 1e-6);
 }
 
-/** How the view's lens draws into a pane of width x height pixels: its picture whole, in the middle. */
-function lensIn(camera, width, height) {
-  const scale = Math.min(width / camera.width, height / camera.height);
+/**
+ * How the view's lens draws into a pane of width x height pixels: its picture whole, in the middle. enlarged: pixels of the
+ * pane, at most, to a pixel of the recorded pictures.
+ */
+function lensIn(camera, width, height, enlarged = Infinity) {
+  const most = enlarged * ((camera.picture_width ?? camera.width) / camera.width);
+  const scale = Math.min(width / camera.width, height / camera.height, most);
   const [fx, skew, cx, fy, cy] = camera.K.map((value) => value * scale);
   const left = (width - scale * camera.width) / 2;
   const top = (height - scale * camera.height) / 2;
