@@ -7,7 +7,6 @@ them in a worker, `draw.js` and the shaders draw, `view.js` turns the camera, `p
 
 from __future__ import annotations
 
-import hashlib
 import json
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
@@ -210,8 +209,6 @@ def assemble(content: dict[str, Any], title: str) -> str:
         generator=f"gof {gof.__version__}",
         style=style,
         script=script,
-        style_hash=_hash(style),
-        script_hash=_hash(script),
         content=json.dumps(content | own, allow_nan=False, separators=(",", ":")).replace("<", "\\u003c"),
     )
 
@@ -238,11 +235,6 @@ def true_velocity(gaussians: TransientGaussians, truth: VelocitySequence) -> np.
 
 def _text(name: str) -> str:
     return (PLAYER / name).read_text(encoding="utf-8")
-
-
-def _hash(text: str) -> str:
-    """As a Content-Security-Policy names a script or a style."""
-    return f"sha256-{base64_text(hashlib.sha256(text.encode()).digest())}"
 
 
 def _views(dataset: Dataset | None) -> list[tuple[Dataset, int]]:
