@@ -35,7 +35,6 @@ def template(name: str) -> Template:
         trim_blocks=True,
         lstrip_blocks=True,
     )
-    environment.filters["number"] = lambda value, digits=3: "n/a" if value is None else f"{value:.{digits}f}"
     environment.filters["duration"] = duration
     environment.filters["hash"] = source_hash
     return environment.get_template(name)
