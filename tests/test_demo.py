@@ -2,6 +2,7 @@
 
 import json
 import os
+import re
 import signal
 import subprocess
 import sys
@@ -92,6 +93,9 @@ def test_everything_a_newcomer_opens_is_there(demo):
     page = (out / "report.html").read_text()
     assert page.count("data:image/") >= 23 and "From all around" in page and "Flame PSNR (higher is better)" in page
     assert 'src="http' not in page
+    tiles = re.findall(r"<div(?: class=\"\w+\")?>([a-zA-Z ]+)[^<]*<b>", page.partition('class="hero"')[0])
+    assert tiles == ["motion error ", "speed over true speed ", "flame PSNR", "time it took"]
+    assert "from other sides (55° to 144°)" in page and str(demo[0]) not in page
     assert (out / "preview.png").stat().st_size > 1000
     player = (out / "share.html").read_text()
     assert "<canvas" in player and '"name":"reconstruction"' in player and "http://" not in player

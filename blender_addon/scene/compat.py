@@ -90,6 +90,7 @@ def see_through(material: bpy.types.Material) -> None:
         material.surface_render_method = "DITHERED"
     else:
         material.blend_method = "HASHED"
+        material.shadow_method = "NONE"  # later versions ask the object, as Cycles does
 
 
 def hide_lamp(lamp: bpy.types.Object) -> None:

@@ -21,6 +21,7 @@ if TYPE_CHECKING:
 LAMPS = 4
 BINS = 64  # of height, in which light is summed
 INTENSITY = "gof_intensity"  # custom property of a lamp: W/sr at the recording's time
+FAR = 1000.0  # Blender units
 POWER = 4 * np.pi  # of a lamp that sends 1 W/sr
 
 
@@ -82,6 +83,7 @@ def _lamp(
     lamp = bpy.data.objects.new(data.name, data)
     lamp.parent, lamp.location = thing, place
     data.shadow_soft_size = radius
+    data.use_custom_distance, data.cutoff_distance = True, FAR  # else EEVEE lets a small flame light half a metre
     color = light.sum(0) / light.sum(0).max()
     data.color = color
     compat.hide_lamp(lamp)  # what is seen of the flame are its Gaussians

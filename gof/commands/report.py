@@ -14,6 +14,7 @@ from gof.commands.read import read_options
 from gof.commands.video import camera_number
 from gof.core.costs import StageCost, StageLog
 from gof.dataset import Dataset
+from gof.evaluate.leaderboard import EvaluatedResult, about
 from gof.evaluate.scores import Scores
 from gof.host.terminal import progress_bar
 from gof.look.animation import brightest_frame
@@ -68,6 +69,7 @@ def main(argv: list[str]) -> int:
             preview,
             camera=camera,
             fire_removal=page_pictures(removal),
+            train_s=EvaluatedResult.of(out, about(out), scores).train_s,
             progress=progress,
         )
     chart = frame_chart(scores)

@@ -6,7 +6,7 @@ import csv
 import html
 import io
 import re
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, ClassVar
@@ -15,7 +15,7 @@ from gof.core.costs import StageCost, StageLog
 from gof.core.errors import DataFormatError, printable
 from gof.evaluate.authors_figures import NAME, OTHER_FOOTAGE, THEIRS
 from gof.evaluate.method import AboutMethod
-from gof.evaluate.scores import EveFigures, Origin, PublishedFigures, Scores, velocity_of
+from gof.evaluate.scores import Agreement, Origin, PublishedFigures, Scores, TrivialScore, velocity_of
 from gof.evaluate.trivial_baselines import BOUNDS
 
 LOWER, NEITHER, HIGHER = -1, 0, 1  # which values of a column are better
@@ -91,25 +91,24 @@ def _epe_px(result: EvaluatedResult) -> float | None:
     return None if flow is None else flow.result.epe_px
 
 
-def _baseline(key: str, better: int) -> Callable[[EvaluatedResult], float | None]:
-    """Return the best of the trivial baselines on the result's own Gaussians, but those that know the truth at every
-    place."""
+def best_baseline(baselines: Mapping[str, Agreement | TrivialScore], key: str) -> tuple[str, float] | None:
+    """Return the trivial baseline that is best in "l2" or "cos_sim", and its figure; None where none has one.
 
-    def best(result: EvaluatedResult) -> float | None:
-        found = [getattr(c, key) for name, c in result.scores.trivial_baselines.items() if name not in BOUNDS]
-        return max((value for value in found if value is not None), key=lambda value: better * value, default=None)
+    Those that know the truth at every place are left out.
+    """
+    better = {"l2": LOWER, "cos_sim": HIGHER}[key]
+    found = [(name, getattr(one, key)) for name, one in baselines.items() if name not in BOUNDS]
+    return max((one for one in found if one[1] is not None), key=lambda one: better * one[1], default=None)
 
-    return best
+
+def _baseline(key: str) -> Callable[[EvaluatedResult], float | None]:
+    """Return the best trivial baseline's figure on the result's own Gaussians."""
+    return lambda result: (best_baseline(result.scores.trivial_baselines, key) or (None, None))[1]
 
 
-def _eve_baseline(key: str, better: int) -> Callable[[EvaluatedResult], float | None]:
-    """Return the best of EVE's trivial baselines, but those that know the truth at every place."""
-
-    def best(eve: EveFigures) -> float | None:
-        found = [getattr(one, key) for name, one in eve.baselines.items() if name not in BOUNDS]
-        return max((value for value in found if value is not None), key=lambda value: better * value, default=None)
-
-    return _eve(best)
+def _eve_baseline(key: str) -> Callable[[EvaluatedResult], float | None]:
+    """Return the figure of the best of EVE's trivial baselines."""
+    return _eve(lambda eve: (best_baseline(eve.baselines, key) or (None, None))[1])
 
 
 COLUMNS = {
@@ -119,12 +118,12 @@ COLUMNS = {
     "eve_cos": Column("EVE CosSim", HIGHER, ".3f", _eve(lambda eve: eve.cos_sim)),
     "eve_fluctuation_l2": Column("EVE fluctuation L2", LOWER, ".3f", _eve(lambda eve: eve.fluctuation.l2)),
     "eve_fluctuation_cos": Column("EVE fluctuation CosSim", HIGHER, ".3f", _eve(lambda eve: eve.fluctuation.cos_sim)),
-    "eve_baseline_l2": Column("EVE best baseline L2", NEITHER, ".3f", _eve_baseline("l2", LOWER)),
-    "eve_baseline_cos": Column("EVE best baseline CosSim", NEITHER, ".3f", _eve_baseline("cos_sim", HIGHER)),
+    "eve_baseline_l2": Column("EVE best baseline L2", NEITHER, ".3f", _eve_baseline("l2")),
+    "eve_baseline_cos": Column("EVE best baseline CosSim", NEITHER, ".3f", _eve_baseline("cos_sim")),
     "l2": Column("DVE L2", LOWER, ".3f", _velocity(lambda dve: dve.l2)),
     "cos_sim": Column("DVE CosSim", HIGHER, ".3f", _velocity(lambda dve: dve.cos_sim)),
-    "baseline_l2": Column("best baseline L2", NEITHER, ".3f", _baseline("l2", LOWER)),
-    "baseline_cos": Column("best baseline CosSim", NEITHER, ".3f", _baseline("cos_sim", HIGHER)),
+    "baseline_l2": Column("best baseline L2", NEITHER, ".3f", _baseline("l2")),
+    "baseline_cos": Column("best baseline CosSim", NEITHER, ".3f", _baseline("cos_sim")),
     "inside_l2": Column("in the domain L2", LOWER, ".3f", _velocity(lambda dve: dve.inside.l2)),
     "inside_cos": Column("in the domain CosSim", HIGHER, ".3f", _velocity(lambda dve: dve.inside.cos_sim)),
     "fluctuation_l2": Column("fluctuation L2", LOWER, ".3f", _velocity(lambda dve: dve.fluctuation.l2)),

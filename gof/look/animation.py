@@ -118,29 +118,26 @@ def original(dataset: Dataset) -> str:
     return "filmed" if dataset.description.is_filmed else "truth"
 
 
-def three_views(
+def all_views(
     dataset: Dataset, gaussians: TransientGaussians, plates: list[np.ndarray], frame: int
-) -> list[tuple[str, list[tuple[str, str]]]]:
-    """Return rows of pictures at one time: [(row title, [(camera name, data URI)])]: truth, reconstruction,
-    difference."""
+) -> list[tuple[str, str, str]]:
+    """Return every camera at one time: its name, and data URIs of its own picture and of the reconstruction."""
     from gof.render import render
 
-    rows: dict[str, list] = {original(dataset): [], "reconstruction": [], "difference": []}
+    found = []
     for number, camera in enumerate(dataset.cameras):
         time_s = float(dataset.camera_times_s(number)[frame])
         background = plates[number] if gaussians.dynamic.all() else None
-        truth = dataset.image(number, frame)
-        image = np.clip(render(gaussians, camera, time_s, background=background)["color"], 0, 1)
-        difference = np.abs(image - truth)
-        for title, picture in zip(rows, (truth, image, difference), strict=True):
-            rows[title].append((camera.name, data_uri(enlarge(to_bytes(picture), factor_for(camera.width)))))
-    return list(rows.items())
+        image = render(gaussians, camera, time_s, background=background)["color"]
+        own, drawn = (enlarge(to_bytes(p), factor_for(camera.width)) for p in (dataset.image(number, frame), image))
+        found.append((camera.name, data_uri(own), data_uri(drawn)))
+    return found
 
 
 def views_around(
     dataset: Dataset, gaussians: TransientGaussians, angles_deg: dict[str, float]
 ) -> list[tuple[str, list[tuple[str, str]]]]:
-    """Return rows of pictures of one frame from all around, as `three_views`, without the difference.
+    """Return rows of pictures of one frame from all around: [(row title, [(angle, data URI)])].
 
     Args:
         dataset: seen by its cameras around (`Dataset.around_view`).

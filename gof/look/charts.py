@@ -1,9 +1,9 @@
 """All charts, drawn by matplotlib: inline SVG for pages, and .pdf, .svg and .png for papers.
 
 A `Chart` is what to draw and how large; `Chart.svg` and `Chart.write` draw it. On a page letters are text, colours
-follow the reader's light or dark scheme, and marks say their numbers to a resting pointer. In a file the ground is
-white and letters are outlines (.svg) or whole TrueType fonts (.pdf), which publishers ask for. The same chart is the
-same bytes at any time.
+are those for black (for white where it is printed), and marks say their numbers to a resting pointer. In a file the
+ground is white and letters are outlines (.svg) or whole TrueType fonts (.pdf), which publishers ask for. The same chart
+is the same bytes at any time.
 """
 
 from __future__ import annotations
@@ -43,7 +43,7 @@ LETTERS, SMALL = 7.5, 6.0  # pt
 COLOURS = ("#c2410c", "#1d4ed8", "#15803d", "#7e22ce", "#0e7490", "#a16207", "#be185d", "#475569")
 DASHES, MARKS = ("-", "--", ":"), "os^DvPX*"  # the second round of the colours is dashed
 INK, SOFT, GRID, FRONT = "#1c1c1e", "#6b6b70", "#e3e3e3", "#e8772e"
-DARK = dict(  # what a colour becomes where the reader's scheme is dark
+DARK = dict(  # what a colour becomes on a screen, where pages are dark (page.css)
     zip(
         (*COLOURS, INK, SOFT, GRID),
         ("#fb923c", "#7aa2ff", "#5fce85", "#c79bfa", "#4cc9e0", "#e3b341", "#f783b5", "#a8b3c2")
@@ -144,7 +144,7 @@ def _style(settings: Mapping[str, str]) -> Iterator[None]:
 
 
 def _inline(drawn: str, title: str, size_pt: tuple[float, float], px_per_pt: float) -> str:
-    """matplotlib's SVG as part of a page: named, in the page's own letters, light or dark, with numbers at its marks.
+    """matplotlib's SVG as part of a page: named, in the page's letters and for its ground, with numbers at its marks.
 
     Names of groups go, because several charts of a page would share them; definitions of one name are equal.
     """
@@ -160,7 +160,7 @@ def _inline(drawn: str, title: str, size_pt: tuple[float, float], px_per_pt: flo
     return (
         f'<svg class="chart" role="img" aria-label="{escape(title)}" viewBox="0 0 {width:g} {height:g}" width="100%" '
         f'style="max-width: {px_per_pt * width:.0f}px">\n'
-        f"<style>@media (prefers-color-scheme: dark) {{ .chart {{ {dark} }} }}</style>{body}"
+        f"<style>@media screen {{ .chart {{ {dark} }} }}</style>{body}"
     )
 
 

@@ -245,7 +245,7 @@ def _row(dataset: Dataset, frame: int, camera: int, result: Path | None) -> Row:
         plate = lit
     flame = flame_mask(image, dataset.static(camera))
     alone = linear_to_srgb(light_above(image, plate))
-    row.append(picture_tile(alone, "light above the background"))
+    row.append(picture_tile(alone, "the fire's own light"))
     board = dataset.board_weight(camera)
     counts = ~flame if board is None else ~flame & (board > 0.5)
     rest = np.abs(image - plate).mean(-1)[counts]

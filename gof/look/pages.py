@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass
@@ -14,7 +15,7 @@ from PIL import ImageColor
 from gof.core.errors import GofError
 from gof.evaluate.leaderboard import EvaluatedResult
 from gof.look.comparison import Moment, comparison, scored_subject
-from gof.look.images import data_uri, enlarge, factor_for
+from gof.look.images import base64_text, data_uri, enlarge, factor_for
 from gof.look.tiles import BOX_COLOURS, Bar, Row, Tile, Wheel
 
 if TYPE_CHECKING:
@@ -34,9 +35,19 @@ def template(name: str) -> Template:
         trim_blocks=True,
         lstrip_blocks=True,
     )
-    environment.filters["number"] = lambda value, digits=3: "n/a" if value is None else f"{value:.{digits}f}"
-    environment.filters["duration"] = lambda s: f"{s:.1f} s" if s < 100 else f"{int(s // 60)} min {int(s % 60)} s"
+    environment.filters["duration"] = duration
+    environment.filters["hash"] = source_hash
     return environment.get_template(name)
+
+
+def source_hash(text: str) -> str:
+    """Return a script or a style as a Content-Security-Policy names it."""
+    return f"sha256-{base64_text(hashlib.sha256(text.encode()).digest())}"
+
+
+def duration(seconds: float) -> str:
+    """Return seconds in words."""
+    return f"{seconds:.1f} s" if seconds < 100 else f"{int(seconds // 60)} min {int(seconds % 60)} s"
 
 
 @dataclass(frozen=True)

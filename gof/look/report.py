@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
+import re
+import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from statistics import fmean
 from typing import Any, ClassVar, NamedTuple
 
 from PIL import Image
 
+import gof
 from gof.core.cameras import in_words
 from gof.core.costs import StageCost
 from gof.core.errors import DataFormatError
@@ -17,28 +21,21 @@ from gof.core.gaussians import TransientGaussians
 from gof.core.records import read_record, write_record
 from gof.dataset import Dataset
 from gof.dataset.plates import background
-from gof.evaluate.scores import Agreement, ClipScore, EveFigures, Scores
+from gof.evaluate.leaderboard import best_baseline
+from gof.evaluate.scores import Scores
 from gof.host.checks import machine, versions
 from gof.look import animation as pictures
 from gof.look.charts import around_chart, frame_chart
 from gof.look.images import data_uri, enlarge, factor_for, file_uri, to_bytes
-from gof.look.pages import PagePicture, template
+from gof.look.pages import PagePicture, duration, template
+from gof.look.path import GUESSED_DEG
+from gof.look.score_table import ScoreTable
 from gof.look.velocity import legend
 from gof.reconstruct.captions import Captions
 
-COMPARED = {
-    "zero": "standing still",
-    "random": "moving at the same speed in random directions",
-    "constant": "the best single vector for everything (fitted to the truth)",
-    "height_mean": "the mean velocity of each height (fitted to the truth)",
-}
-OUTCOMES = {  # by (smaller L2, larger CosSim)
-    (True, True): "Better than",
-    (False, False): "Not better than",
-    (True, False): "Closer in size, not in direction, than",
-    (False, True): "Better in direction, not in size, than",
-}
 RIGHT_SPEED = (0.8, 1.25)  # ratios of the estimated to the true speed that are called right
+IN_PATH = r"[^\\/'\",;:\n]"
+FOLDERS = re.compile(rf"(?<![\w.:/\\])(?:~|[A-Za-z]:)?[\\/](?:{IN_PATH}+[\\/])*(?={IN_PATH})")  # of an absolute path
 
 
 def build_report(
@@ -51,6 +48,7 @@ def build_report(
     stage_pictures: Path | None = None,
     camera: int | None = None,
     fire_removal: Sequence[Sequence[PagePicture | None]] = (),
+    train_s: float | None = None,
     progress: Callable[..., None] | None = None,
 ) -> Path:
     """Write out_dir/report.html, and out_dir/pictures/animation.webp and .png for use elsewhere; replaces older ones.
@@ -64,6 +62,7 @@ def build_report(
             `result`.
         camera: number of the camera of the animation; default the middle one.
         fire_removal: rows of pictures that show what the plates are worth, one for each camera.
+        train_s: seconds that the reconstruction took.
         progress: progress(done, total, stage=name).
     Returns:
         path of report.html.
@@ -80,16 +79,18 @@ def build_report(
     folder = out_dir / "pictures"
     _save(animation, folder)
     frame = pictures.brightest_frame(dataset)
+    table, today = ScoreTable.of(scores), time.strftime("%Y-%m-%d")
     content = {
         "name": dataset.description.name,
-        "dataset": _facts(dataset, gaussians),
+        "made": f"{today}, gof report {gof.__version__}",
+        "dataset": _facts(dataset),
         "animation": animation,
         "animation_uri": file_uri(folder / "animation.webp"),
         "still_uri": data_uri(folder / "animation.png"),
         "animation_camera": dataset.cameras[camera].name,
         "legend_uri": data_uri(legend(), "png"),
         "longest_px_per_frame": animation.longest * dataset.frame_time_s,
-        "views": pictures.three_views(dataset, gaussians, plates, frame),
+        "views": pictures.all_views(dataset, gaussians, plates, frame),
         "views_frame": frame,
         "views_time_ms": 1000 * (dataset.times_s[frame] - dataset.times_s[0]),
         "views_held_out": frame in dataset.test_frames,
@@ -98,7 +99,10 @@ def build_report(
         "original": pictures.original(dataset),
         "picture_size": in_words(scores.images.sizes_px) if scores.images else "",
         "scores": scores,
-        "verdicts": verdicts(scores),
+        "answers": answers(scores, train_s),
+        "table": table,
+        "latex": table.rows and table.latex(f"{dataset.description.name}, gof {gof.__version__}, {today}"),
+        "warnings": [_without_folders(warning) for warning in scores.warnings],
         "chart": chart.svg() if (chart := frame_chart(scores)) else "",
         "around": _around(dataset, gaussians, scores),
         "around_chart": chart.svg() if (chart := around_chart(scores)) else "",
@@ -122,14 +126,12 @@ def _save(animation: pictures.Animation, folder: Path) -> None:
         Image.fromarray(animation.frames[animation.still]).save(temporary)
 
 
-def _facts(dataset: Dataset, gaussians: TransientGaussians) -> dict[str, str]:
+def _facts(dataset: Dataset) -> dict[str, str]:
     camera, frame_s = dataset.cameras[0], dataset.frame_time_s
     return {
         "cameras": f"{len(dataset.cameras)}, {camera.width} x {camera.height} px",
         "frames": f"{len(dataset.times_s)} ({len(dataset.test_frames)} held out)"
         + (f" at {1 / frame_s:.4g} per second" if frame_s else ""),
-        "Gaussians": f"{len(gaussians):,}"
-        + ("" if gaussians.dynamic.all() else f" ({int(gaussians.dynamic.sum()):,} dynamic)"),
     }
 
 
@@ -153,6 +155,7 @@ def _preview(preview: Preview | None, folder: Path, dataset: Dataset) -> dict[st
     truth = to_bytes(dataset.image(preview.camera, preview.frame))
     return {
         "truth": data_uri(enlarge(truth, factor_for(truth.shape[1]))),
+        "shape": f"{truth.shape[1]} / {truth.shape[0]}",
         "image": data_uri(image),
         "camera": dataset.cameras[preview.camera].name,
         "frame": preview.frame,
@@ -168,76 +171,92 @@ def _stage_pictures(folder: Path) -> list[tuple[str, str]]:
 
 def _provenance(dataset: Dataset) -> dict[str, str]:
     provenance = dataset.description.provenance
-    shown = {k.replace("_", " "): str(v) for k, v in provenance.items() if isinstance(v, str | int | float)}
+    shown = {
+        k.replace("_", " "): _without_folders(str(v)) for k, v in provenance.items() if isinstance(v, str | int | float)
+    }
     return {f"dataset: {words}": value for words, value in shown.items()}
 
 
-# ---------------------------------------------------------------- scores in plain words
+def _without_folders(words: str) -> str:
+    """Return a text in which absolute paths are file names: folders tell of a machine and its users."""
+    return FOLDERS.sub("", words)
 
 
-class Verdict(NamedTuple):
-    good: bool
-    sentence: str
+# ---------------------------------------------------------------- the answer in four tiles
 
 
-def verdicts(scores: Scores) -> list[Verdict]:
-    """Return the velocities against the trivial baselines, their speed, the flame's pixels against the plate: what is
-    defined of it."""
-    out = []
-    eve = None if scores.dve is None else scores.dve.eve
-    if (own := _defined(eve)) and (constant := _defined(eve and eve.baselines.get("constant"))):
-        sentence = f"Where the fire is (EVE): L2 {own.l2:.3f} against {constant.l2:.3f} of one constant vector, "
-        sentence += f"CosSim {own.cos_sim:.3f} against {constant.cos_sim:.3f}."
-        out.append(Verdict(all(own.better_than(constant)), sentence))
-    if scores.dve is not None and (own := _defined(scores.dve)):
-        for name, words in COMPARED.items():
-            if trivial_baseline := _defined(scores.trivial_baselines.get(name)):
-                out.append(_against(trivial_baseline, words, own))
-        ratio = scores.dve.speed_ratio
-        low, high = RIGHT_SPEED
-        if ratio is not None:
-            out.append(Verdict(low <= ratio <= high, f"Speeds are {ratio:.2f} times the true ones."))
-    if scores.psnr_flame is not None and scores.psnr_flame_plate is not None:
-        gain = scores.psnr_flame - scores.psnr_flame_plate
-        side = "above" if gain > 0 else "below"
-        size = in_words(scores.images.sizes_px) if scores.images else ""
-        where = f"held-out frames ({size})" if size else "held-out frames"
-        sentence = f"On flame pixels of {where}, {abs(gain):.1f} dB {side} the fire-free background alone."
-        out.append(Verdict(gain > 0, sentence))
-    if scores.psnr_flame is not None and scores.psnr_flame_between is not None:
-        gain = scores.psnr_flame - scores.psnr_flame_between
-        side = "above" if gain > 0 else "below"
-        out.append(
-            Verdict(gain > 0, f"There, {abs(gain):.1f} dB {side} the two frames around, carried along their flow.")
-        )
-    return out
+class Answer(NamedTuple):
+    """A tile: its name, the figure with its unit, lines below it, and whether that is good; None: neither."""
+
+    name: str
+    figure: str
+    lines: tuple[str, ...]
+    good: bool | None = None
 
 
-class Closeness(NamedTuple):
-    """How close velocities are to the true ones."""
+def answers(scores: Scores, train_s: float | None) -> list[Answer]:
+    """Return motion, speed, pictures and time, or what there is of them; the number of Gaussians where one is
+    missing."""
+    found = [_motion(scores), _speed(scores), _pictures(scores)]
+    many, dynamic = f"{scores.gaussians:,}", scores.dynamic_gaussians
+    has_own_tile = scores.dve is None or not train_s
+    if train_s:
+        found.append(Answer("time it took", duration(train_s), () if has_own_tile else (f"for {many} Gaussians",)))
+    if has_own_tile:
+        lines = () if dynamic == scores.gaussians else (f"{dynamic:,} of them dynamic",)
+        found.append(Answer("Gaussians", many, lines))
+    return [answer for answer in found if answer]
 
-    l2: float
-    cos_sim: float
 
-    def better_than(self, other: Closeness) -> tuple[bool, bool]:
-        """Return whether they are closer, and whether their directions agree better."""
-        return self.l2 < other.l2, self.cos_sim > other.cos_sim
-
-
-def _defined(score: Agreement | EveFigures | ClipScore | None) -> Closeness | None:
-    """Return both figures; None where one is not defined."""
-    if score is None or score.l2 is None or score.cos_sim is None:
+def _motion(scores: Scores) -> Answer | None:
+    """Return the error beside the best trivial baseline's: by EVE, which ranks, where it is known, and by DVE."""
+    dve, said = scores.dve, []
+    if dve is None:
         return None
-    return Closeness(score.l2, score.cos_sim)
+    if (eve := dve.eve) and eve.l2 is not None and (best := best_baseline(eve.baselines, "l2")):
+        said.append(("EVE", eve.l2, best[1]))
+    if dve.l2 is not None and (best := best_baseline(scores.trivial_baselines, "l2")):
+        said.append(("DVE", dve.l2, best[1]))
+    if not said:
+        return None
+    (name, l2, best_l2), *rest = said
+    lines = [f"best trivial baseline {best_l2:.3f}: {_beaten(l2 < best_l2)}"]
+    lines += [f"by {name} {l2:.3f} against {best:.3f}: {_beaten(l2 < best)}" for name, l2, best in rest]
+    return Answer(f"motion error ({name} L2)", f"{l2:.3f}", tuple(lines), l2 < best_l2)
 
 
-def _against(trivial_baseline: Closeness, words: str, dve: Closeness) -> Verdict:
-    closer, straighter = dve.better_than(trivial_baseline)
-    return Verdict(
-        closer and straighter,
-        f"{OUTCOMES[closer, straighter]} {words}: L2 {dve.l2:.3f} against {trivial_baseline.l2:.3f}, "
-        f"CosSim {dve.cos_sim:.3f} against {trivial_baseline.cos_sim:.3f}.",
-    )
+def _beaten(better: bool) -> str:
+    return "beaten" if better else "not beaten"
+
+
+def _speed(scores: Scores) -> Answer | None:
+    dve = scores.dve
+    both = [("EVE", dve and dve.eve), ("DVE", dve)]
+    ratios = [(name, score.speed_ratio) for name, score in both if score and score.speed_ratio is not None]
+    if not ratios:
+        return None
+    (name, ratio), *rest = ratios
+    low, high = RIGHT_SPEED
+    word = "too slow" if ratio < low else "too fast" if ratio > high else "right"
+    lines = (f"{word} (right: {low} to {high})", *(f"by {other} {value:.2f}" for other, value in rest))
+    return Answer(f"speed over true speed ({name})", f"{ratio:.2f}", lines, low <= ratio <= high)
+
+
+def _pictures(scores: Scores) -> Answer | None:
+    """Return the flame's dB at held-out times, beside what is to be beaten, and from the side."""
+    own = scores.psnr_flame
+    if own is None:
+        return None
+    known = [("2D baseline", scores.psnr_flame_between), ("background alone", scores.psnr_flame_plate)]
+    beside = [(name, db) for name, db in known if db is not None][:1]
+    lines = [f"{name} {db:.1f} dB: {_beaten(own > db)}" for name, db in beside]
+    sides = [(v.angle_deg, v.psnr_flame) for v in scores.around if v.psnr_flame is not None]
+    sides = [(angle, db) for angle, db in sides if angle > GUESSED_DEG]
+    if sides:
+        angles = dict.fromkeys(f"{end(angle for angle, _ in sides):.0f}°" for end in (min, max))
+        lines.append(f"from other sides ({' to '.join(angles)}) {fmean(db for _, db in sides):.1f} dB")
+    good = own > beside[0][1] if beside else None
+    return Answer("flame PSNR, held-out pictures", f"{own:.1f} dB", tuple(lines), good)
 
 
 # ----------------------------------------------------------------

@@ -158,9 +158,11 @@ def strip(moments: dict[str, FramesAround]) -> np.ndarray:
             crop = getattr(m, word)[box]
             width = max(1, round(crop.shape[1] * CROP_HEIGHT / crop.shape[0]))
             crop = cv2.cvtColor(cv2.resize(crop, (width, CROP_HEIGHT), interpolation=cv2.INTER_AREA), cv2.COLOR_RGB2BGR)
-            crop = cv2.copyMakeBorder(crop, 4, 26, 4, max(4, 250 - width), cv2.BORDER_CONSTANT, value=(255, 255, 255))
+            crop = cv2.copyMakeBorder(crop, 4, 26, 4, max(4, 250 - width), cv2.BORDER_CONSTANT, value=(0, 0, 0))
             text = f"{word}: {name} {round(getattr(m, word + '_ms'), 3) + 0.0:+.3f} ms"
-            cv2.putText(crop, text, (4, CROP_HEIGHT + 22), cv2.FONT_HERSHEY_SIMPLEX, 0.45, (40, 40, 40), 1, cv2.LINE_AA)
+            cv2.putText(
+                crop, text, (4, CROP_HEIGHT + 22), cv2.FONT_HERSHEY_SIMPLEX, 0.45, (225, 225, 225), 1, cv2.LINE_AA
+            )
             crops.append(crop)
         rows.append(np.hstack(crops))
     return np.vstack(rows)

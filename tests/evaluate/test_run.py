@@ -256,7 +256,7 @@ def test_scores_land_beside_the_result_and_the_page_finds_them(flame, tmp_path, 
     assert f"{out / 'scores.json'}" in capsys.readouterr().out.replace("\n", "")
     assert gof(["report", str(out), "--dataset", data]) == 0 and (out / "report.html").is_file()
     page = (out / "report.html").read_text(encoding="utf-8")
-    assert "two frames around</th>" in page and "the two frames around, carried along their flow" in page
+    assert ">two frames around</td>" in page and "2D baseline" in page
     assert gof(["evaluate", str(out), "--dataset", data, "--no-images"]) == 0, "the folder of a result, and again"
     assert Scores.read(out / "scores.json").images is None
 

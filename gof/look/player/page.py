@@ -8,7 +8,6 @@ them in a worker, `draw.js` and the shaders draw, `view.js` turns the camera, `g
 from __future__ import annotations
 
 import base64
-import hashlib
 import io
 import json
 from collections.abc import Callable, Sequence
@@ -230,8 +229,6 @@ def assemble(content: dict[str, Any], title: str) -> str:
         generator=f"gof {gof.__version__}",
         style=style,
         script=script,
-        style_hash=_hash(style),
-        script_hash=_hash(script),
         content=json.dumps(content | own, allow_nan=False, separators=(",", ":")).replace("<", "\\u003c"),
     )
 
@@ -258,11 +255,6 @@ def true_velocity(gaussians: TransientGaussians, truth: VelocitySequence) -> np.
 
 def _text(name: str) -> str:
     return (PLAYER / name).read_text(encoding="utf-8")
-
-
-def _hash(text: str) -> str:
-    """As a Content-Security-Policy names a script or a style."""
-    return f"sha256-{base64_text(hashlib.sha256(text.encode()).digest())}"
 
 
 def _views(dataset: Dataset | None) -> list[tuple[Dataset, int]]:
