@@ -179,7 +179,7 @@ def test_values_of_the_gaussians_go_along(back, flame):
 @pytest.mark.blender
 def test_the_scene_is_left_as_it_was(back):
     assert back["out.usdc said"] == back["out.abc said"] == ["FINISHED"]
-    assert back["after"] == [2, 0.5, 4, True], "the cloud, and the three objects of a new file"
+    assert back["after"] == [2, 0.5, 8, True], "the cloud with four lamps, and the three objects of a new file"
     assert back["left"] == ["out.abc", "out.usdc", "result.npz"], "nothing half-made stays"
     assert ".usdc, .usda or .abc" in back["other"]
 

@@ -148,7 +148,7 @@ for _ in range(2):
     bpy.ops.gof.show_errors()
 result["true"] = point_cloud.column(thing.data, "gs_true_velocity", 3).tolist()
 result["text"] = settings.centres
-views = {thing.name: thing for thing in bpy.data.objects}
+views = {thing.name: thing for thing in bpy.data.objects if point_cloud.inputs(thing)}
 keys = "Mode", "Color By", "Arrows Show", "Color Max"
 result["views"] = {name: [point_cloud.inputs(view)[key] for key in keys] for name, view in views.items()}
 result["shared"] = len({view.data.name for view in views.values()}), len(bpy.data.meshes)

@@ -1,20 +1,27 @@
 """Lamps under a cloud throw as much light on the scene as its Gaussians do, at the recording's time."""
 
+import json
+import shutil
+import subprocess
+
 import numpy as np
 import pytest
 
 from gof.core.gaussians import TransientGaussians
-from tests.blender.runs import in_blender
+from tests.blender.runs import ADDON, in_blender
 from tests.blender.test_cloud_light import flame
 
 pytestmark = pytest.mark.blender
+BLENDER, SCREEN = shutil.which("blender"), shutil.which("xvfb-run")
 WALL = """
 import numpy as np
 import gof_blender
 gof_blender.register()
 folder = sys.argv[1]
-bpy.ops.wm.read_factory_settings(use_empty=True)
 scene = bpy.context.scene
+for thing in list(scene.objects):
+    bpy.data.objects.remove(thing)
+scene.world.node_tree.nodes["Background"].inputs["Strength"].default_value = 0
 scene.view_settings.view_transform = "Standard"
 scene.render.engine, scene.cycles.samples, scene.cycles.use_denoising = "CYCLES", 128, False
 scene.render.resolution_x = scene.render.resolution_y = 24
@@ -113,3 +120,24 @@ def test_lamps_follow_the_clock_and_the_settings(tmp_path):
     assert found["half"] == pytest.approx(found["bright"] / 2, rel=1e-4)
     assert found["large"] == pytest.approx(4 * found["half"], rel=1e-4)
     assert found["mapped"] == found["hidden"] == 0
+
+
+@pytest.mark.skipif(not (BLENDER and SCREEN), reason="needs a Blender with a window (Debian: blender, xvfb)")
+def test_a_wall_is_lit_in_eevee_as_in_cycles(tmp_path):
+    flame(True).save(tmp_path / "result.npz")
+    (tmp_path / "gof_blender").symlink_to(ADDON)
+    script = WALL.partition("lamps = [")[0] + (
+        "scene.cycles.diffuse_bounces = 0\n"
+        "for engine in ('CYCLES', 'BLENDER_EEVEE'):\n    scene.render.engine = engine\n    result[engine] = wall()\n"
+    )
+    (tmp_path / "look.py").write_text(
+        f"import json, os, sys\nsys.path.insert(0, {str(tmp_path)!r})\nsys.argv = ['', {str(tmp_path)!r}]\n"
+        + f"import bpy\nresult = {{}}\n{script}"
+        + "print('RESULT' + json.dumps(result), flush=True)\nos._exit(0)\n"
+    )
+    command = [SCREEN, "-a", BLENDER, "--factory-startup", "--python-exit-code", "1", "--python"]
+    run = subprocess.run([*command, str(tmp_path / "look.py")], capture_output=True, text=True, timeout=240)
+    assert "RESULT" in run.stdout, run.stderr
+    found = json.loads(next(line for line in run.stdout.splitlines() if line.startswith("RESULT"))[6:])
+    assert found["CYCLES"][0] > 0.005
+    np.testing.assert_allclose(found["BLENDER_EEVEE"], found["CYCLES"], rtol=0.2)
