@@ -109,14 +109,21 @@ def unsaturated_light(observation: Observation) -> np.ndarray:
     along a ray. A screen shows no more than white, but the brightest channel draws a clip's own pictures best even
     where a sixth of it is white; only what is white in more than a quarter gives way to the next.
     """
-    image, plate = srgb_to_linear(observation.image), srgb_to_linear(observation.plate)
+    plate = srgb_to_linear(observation.plate)
     flame = observation.mask & observation.delivered[..., None, None]
-    often = (image[flame] > SATURATED).mean(0) if flame.any() else np.zeros(3)
-    bright = np.maximum(image - plate, 0)[flame].mean(0) if flame.any() else np.ones(3)
+    count, often, bright = int(flame.sum()), np.zeros(3), np.zeros(3)
+    for picture, inside in zip(observation.image, flame, strict=True):  # a whole clip's linear light takes gigabytes
+        light = srgb_to_linear(picture[inside])
+        often += (light > SATURATED).sum(0) / max(count, 1)
+        bright += np.maximum(light - plate[inside], 0).sum(0, dtype=np.float64) / max(count, 1)
     told = often <= max(OFTEN, often.min())
     channel = int(np.argmax(np.where(told, bright, -1)))
-    through = [np.maximum(1 - x[..., channel], THICKEST) for x in (image, plate)]
-    return np.maximum(np.log(through[1]) - np.log(through[0]), 0).astype(np.float32)
+    clear = np.log(np.maximum(1 - plate[..., channel], THICKEST))
+    thickness = np.empty(observation.image.shape[:-1], np.float32)
+    for f, picture in enumerate(observation.image):
+        through = np.maximum(1 - srgb_to_linear(picture[..., channel]), THICKEST)
+        thickness[f] = np.maximum(clear - np.log(through), 0)
+    return thickness
 
 
 def cameras_around(voxels: FlameVoxels, cameras: list[Camera], views: int = VIEWS) -> list[Camera]:
