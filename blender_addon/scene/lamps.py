@@ -7,16 +7,13 @@ cloud's Start Frame and Time Scale. Its Emission, Light on Scene, Color By and s
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from collections.abc import Callable
 
 import bpy
 import numpy as np
 
 from ..pure.io.cloud import GaussianCloud
 from . import compat, display
-
-if TYPE_CHECKING:
-    from .point_cloud import CloudInputs
 
 LAMPS = 4
 BINS = 64  # of height, in which light is summed
@@ -25,15 +22,17 @@ FAR = 1000.0  # Blender units
 POWER = 4 * np.pi  # of a lamp that sends 1 W/sr
 
 
-def add(settings: CloudInputs, cloud: GaussianCloud, light: np.ndarray) -> list[bpy.types.Object]:
+def add(
+    thing: bpy.types.Object, path: Callable[[str], str], cloud: GaussianCloud, light: np.ndarray
+) -> list[bpy.types.Object]:
     """Add lamps below a cloud's object, in its scene; none where it is dark.
 
     Args:
-        settings: of the object.
+        path: from the object to one of its settings, by name.
         light: (N, 3) of `display.emission`.
     """
     fades = bool(cloud.dynamic.all())
-    return [_lamp(settings, number, *found, fades) for number, found in enumerate(groups(cloud, light), 1)]
+    return [_lamp(thing, path, number, *found, fades) for number, found in enumerate(groups(cloud, light), 1)]
 
 
 def groups(cloud: GaussianCloud, light: np.ndarray) -> list[tuple[np.ndarray, float, np.ndarray, np.ndarray]]:
@@ -69,7 +68,8 @@ def groups(cloud: GaussianCloud, light: np.ndarray) -> list[tuple[np.ndarray, fl
 
 
 def _lamp(
-    settings: CloudInputs,
+    thing: bpy.types.Object,
+    path: Callable[[str], str],
     number: int,
     place: np.ndarray,
     radius: float,
@@ -78,7 +78,6 @@ def _lamp(
     fades: bool,
 ) -> bpy.types.Object:
     """Return a lamp; `fades`: it is dark a step before and after its times."""
-    thing = settings.thing
     data = bpy.data.lights.new(f"{thing.name} Lamp {number}", "POINT")
     lamp = bpy.data.objects.new(data.name, data)
     lamp.parent, lamp.location = thing, place
@@ -88,11 +87,11 @@ def _lamp(
     data.color = color
     compat.hide_lamp(lamp)  # what is seen of the flame are its Gaussians
     bpy.context.scene.collection.objects.link(lamp)
-    _follow_clock(lamp, settings, times_s, light.sum(1) / color.sum(), fades)
+    _follow_clock(lamp, path, times_s, light.sum(1) / color.sum(), fades)
     driver = data.driver_add("energy").driver
     _variable(driver, "intensity", lamp, f'["{INTENSITY}"]')
     for name, setting in (("emission", "Emission"), ("factor", "Light on Scene"), ("map", "Color By")):
-        _variable(driver, name, thing, settings.path(setting))
+        _variable(driver, name, thing, path(setting))
     _variable(driver, "size", thing, "scale.x")
     _variable(driver, "hidden", thing, "hide_render")
     driver.expression = f"{POWER} * intensity * size * size * emission * factor * (1 - min(map, 1)) * (1 - hidden)"
@@ -100,13 +99,13 @@ def _lamp(
 
 
 def _follow_clock(
-    lamp: bpy.types.Object, settings: CloudInputs, times_s: np.ndarray, intensity: np.ndarray, fades: bool
+    lamp: bpy.types.Object, path: Callable[[str], str], times_s: np.ndarray, intensity: np.ndarray, fades: bool
 ) -> None:
     """Drive a lamp's `INTENSITY` by the recording's time."""
     lamp[INTENSITY] = 0.0
     curve = lamp.driver_add(f'["{INTENSITY}"]')
     for name, setting in (("start", "Start Frame"), ("rate", "Frame Rate"), ("scale", "Time Scale")):
-        _variable(curve.driver, name, settings.thing, settings.path(setting))
+        _variable(curve.driver, name, lamp.parent, path(setting))
     curve.driver.expression = "(frame - start) / rate * scale"
     if len(times_s) == 1:  # a still
         times_s, intensity = np.array([0.0, 1.0]), np.repeat(intensity, 2)

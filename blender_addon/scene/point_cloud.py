@@ -87,7 +87,7 @@ def add_point_cloud(
     settings = inputs(thing)
     settings["Mode"], settings["Start Frame"] = gaussian_nodes.MODES.index(mode), start_frame
     settings["Line Time"] = _line_time(cloud)
-    lamps.add(settings, cloud, column(thing.data, "gs_light", 3))
+    lamps.add(thing, settings.path, cloud, column(thing.data, "gs_light", 3))
     thing.visible_diffuse = False  # rough surfaces get their light from the lamps
     if cloud.datum:
         thing[DATUM] = cloud.datum.numbers().tolist()
