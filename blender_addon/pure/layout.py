@@ -207,7 +207,8 @@ class Layout:
         differs = [name for name in WHAT_BURNS if getattr(theirs, name) != getattr(spec, name)]
         if spec.blend_file or theirs.blend_file:
             raise SpecError("a fire in a scene of your own is baked with what stands in it; bake it again")
-        if differs or spec.timeline.last_frame > theirs.timeline.last_frame:
+        needed, kept = spec.timeline.steps_needed, theirs.timeline.steps_needed  # cameras' clocks may want more steps
+        if differs or needed.start < kept.start or needed.stop > kept.stop:
             raise SpecError(f"{other.root}: another fire burns there ({', '.join(differs) or 'fewer steps'} differ)")
         shutil.rmtree(self.bake, ignore_errors=True)
         shutil.copytree(other.bake, self.bake, copy_function=_link_or_copy)

@@ -16,8 +16,9 @@ from gof_benchmark.commands.generate import main as generate_command
 from gof_benchmark.generator import graph
 from gof_benchmark.generator.blender_process import run_stage
 from gof_benchmark.scenes import claim
+from gof_blender.core.checked_json import SpecError
 from gof_blender.pure import spec as scene_spec
-from gof_blender.pure.effects import moving_emitter, wind
+from gof_blender.pure.effects import clock, moving_emitter, wind
 from gof_blender.pure.fires import Domain
 from gof_blender.pure.layout import Layout
 from gof_blender.pure.rig import Rig
@@ -180,3 +181,19 @@ def baked(folder: Path, **changes) -> dict[str, bytes]:
     run_stage("bake", layout.root)
     grids = {path.name: gzip.decompress(path.read_bytes()) for path in layout.bake.rglob("vel_*.uni")}
     return {name: grid[HEADER:] for name, grid in grids.items()}
+
+
+def test_a_rig_whose_clocks_want_steps_that_are_gone_takes_no_fire(tmp_path):
+    """A bake keeps the steps that its own cameras see; with other clocks the flame would be missing."""
+    theirs = replace(TOY, effects=(clock.Settings(offset_s=0.1),))
+    ours = replace(theirs, cameras=replace(theirs.cameras, count=8))
+    assert ours.timeline.steps_needed.start < theirs.timeline.steps_needed.start
+    other, layout = Layout(tmp_path / "other"), Layout(tmp_path / "ours")
+    claim(other, theirs)
+    claim(layout, ours)
+    other.bake.mkdir(parents=True)
+    other.bake_marker.write_text("{}")
+    other.blend.touch()
+    with pytest.raises(SpecError, match="another fire burns there .fewer steps differ"):
+        layout.take_fire_of(other, ours)
+    assert not layout.bake.exists()
