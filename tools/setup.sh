@@ -11,7 +11,7 @@ version=$("$python" -c 'import sys; print("%d.%d" % sys.version_info[:2])') || {
     exit 1
 }
 if [ "$version" != 3.11 ]; then
-    echo "error: $python is Python $version. make needs 3.11, for which alone Blender exists as a module (bpy):" >&2
+    echo "error: $python is Python $version. make needs 3.11, which Blender 4.5 LTS as a module (bpy) is for:" >&2
     echo "       make PYTHON=python3.11, after removing $venv if it is there. docs/install.md has the ways without." >&2
     exit 1
 fi

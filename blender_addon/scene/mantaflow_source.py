@@ -51,7 +51,6 @@ class MantaflowSource:
 
         with Watch(simulated, needed[-1], progress):
             fire.bake(find_flame(), needed, layout.newest_step())
-        layout.prune_bake(needed, finished=True)
 
     @cached_property
     def index_to_world(self) -> np.ndarray:

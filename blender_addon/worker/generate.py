@@ -48,6 +48,7 @@ def bake(spec: SceneSpec, layout: Layout, progress: Reporter) -> None:
     """Build scene.blend and make the flame of every step; an unfinished simulation goes on after its last step."""
     total = spec.fire.bake_steps(spec.timeline)
     if layout.bake_marker.is_file():
+        layout.prune_bake(spec.timeline.steps_needed, finished=True)
         progress(total, total)
         return
     import bpy
@@ -79,6 +80,7 @@ def bake(spec: SceneSpec, layout: Layout, progress: Reporter) -> None:
     bpy.context.scene.frame_set(spec.timeline.first_frame)
     _save_blend(layout)
     write_json(layout.bake_marker, {"frames": total, "blender": bpy.app.version_string, "cut_off": cut_off})
+    layout.prune_bake(spec.timeline.steps_needed, finished=True)  # not before: without state, no bake goes on
 
 
 def render(spec: SceneSpec, layout: Layout, progress: Reporter) -> None:
