@@ -239,11 +239,13 @@ class Flame:
         return self.surroundings.draw(seen, c, self.voxel_size, self.optimizer)
 
     def loss_unseen(self, shown: Raw, unseen: UnseenView, plain: np.ndarray) -> Any:
-        """Mean absolute difference of a view from where no camera stood, over an even plate of display values (3,)."""
+        """Mean distance of a view from where no camera stood to the light that it may have there, in display values
+        over an even plate of display values (3,)."""
         flame = splats(shown, self.voxel_size, unseen.time_s - self.start_s, unseen.camera)
         behind, emissive, near = [opaque(x) for x in plain], self.surroundings.emissive, self.voxel_size
         seen = render_splats(flame, unseen.camera, behind, emissive=emissive, near=near, antialias=True)
-        return _difference(seen.color, over_plain(unseen.light, plain))
+        least, most = (over_plain(np.maximum(unseen.light + d, 0), plain) for d in (-unseen.spread, unseen.spread))
+        return measure_beyond(seen.color, least, most)
 
     def _time_s(self, f: int, c: int) -> float:
         """When a camera's picture of a frame was taken, after the clip's start."""
@@ -333,9 +335,10 @@ def over_plain(light: np.ndarray, plain: np.ndarray) -> list[Any]:
     return [to_display(dr.minimum(added + behind, 1)) for added, behind in pairs]
 
 
-def _difference(seen: list[Float], wanted: list[Float]) -> Any:
-    """Mean of |a - b| over pixels and channels; a Dr.Jit tensor of one number."""
-    return sum(dr.mean(dr.abs(a - b)) for a, b in zip(seen, wanted, strict=True)) / len(seen)
+def measure_beyond(seen: list[Float], least: list[Float], most: list[Float]) -> Any:
+    """Mean over pixels and channels of how far values are below `least` or above `most`; a tensor of one number."""
+    planes = zip(seen, least, most, strict=True)
+    return sum(dr.mean(dr.maximum(low - a, 0) + dr.maximum(a - high, 0)) for a, low, high in planes) / len(seen)
 
 
 def _note(loss: float, held_out: str | None) -> str:

@@ -5,6 +5,8 @@ one behind it repairs, for these cameras only. Tomography is coarse, but the sam
 is drawn from all around, in pixels as large as voxels, and Gaussians may not be something else there.
 
 How light of a clip looks is taken from its own pictures: thickness of flame against linear light, channel by channel.
+Pictures of one thickness differ, the more the worse tomography explains the clip. Within that spread, Gaussians are
+free: a filmed flame, of which it knows less, is held less.
 """
 
 from __future__ import annotations
@@ -34,11 +36,13 @@ THIN, SURE = 0.1, 0.5  # of the usual thickness: below the first it tells nothin
 
 
 class UnseenView(NamedTuple):
-    """One view. time_s: on the dataset clock.   light: (3, h * w) float32 linear light over black."""
+    """One view. time_s: on the dataset clock.   light, spread: (3, h * w) float32 linear light over black, and how far
+    it may be off."""
 
     camera: Camera
     time_s: float
     light: np.ndarray
+    spread: np.ndarray
 
 
 @dataclass(frozen=True)
@@ -50,7 +54,8 @@ class UnseenViews:
         frames: (F,) which of the observation's frames, ascending; only those that every camera took.
         time_s: (F,) of these, on the dataset clock.
         thickness: (F, V, h, w) float16 >= 0, of flame along each pixel's ray, in a unit of the clip's own.
-        levels: (L,) ascending thicknesses.   light: (L, 3) linear light of each.
+        levels: (L,) ascending thicknesses.   light, spread: (L, 3) linear light of each, and the median difference of
+            the clip's own pictures from it.
     """
 
     cameras: list[Camera]
@@ -59,12 +64,16 @@ class UnseenViews:
     thickness: np.ndarray
     levels: np.ndarray
     light: np.ndarray
+    spread: np.ndarray
 
     def view(self, frame: int, camera: int) -> UnseenView:
         """Views of a frame by each camera; rows of `time_s` and `cameras`."""
         thickness = self.thickness[frame, camera].astype(np.float32).ravel()
-        light = np.stack([np.interp(thickness, self.levels, curve) for curve in self.light.T])
-        return UnseenView(self.cameras[camera], float(self.time_s[frame]), light.astype(np.float32))
+        light, spread = (
+            np.stack([np.interp(thickness, self.levels, curve) for curve in curves.T]).astype(np.float32)
+            for curves in (self.light, self.spread)
+        )
+        return UnseenView(self.cameras[camera], float(self.time_s[frame]), light, spread)
 
     def choose(self, frame: int, rng: np.random.Generator) -> UnseenView | None:
         """One of a frame of the observation by chance; None where it has none."""
@@ -96,10 +105,10 @@ def imagine_views(
     if not len(frames):
         return None
     shining = emission[frames].T
-    levels, curve = _light_by_thickness(voxels, shining, observation, frames)
+    curves = _light_by_thickness(voxels, shining, observation, frames)
     cameras = cameras or cameras_around(voxels, observation.cameras)
     thickness = np.stack([_thickness(voxels, shining, camera) for camera in cameras], 1)
-    return UnseenViews(cameras, frames, observation.time_s[frames], thickness.astype(np.float16), levels, curve)
+    return UnseenViews(cameras, frames, observation.time_s[frames], thickness.astype(np.float16), *curves)
 
 
 def unsaturated_light(observation: Observation) -> np.ndarray:
@@ -183,8 +192,9 @@ def _footprints(voxels: FlameVoxels, camera: Camera) -> csr_matrix:
 
 def _light_by_thickness(
     voxels: FlameVoxels, emission: np.ndarray, observation: Observation, frames: np.ndarray
-) -> tuple[np.ndarray, np.ndarray]:
-    """Levels (L,) of thickness, and the mean linear light (L, 3) of each in the clip's own pictures; both rise."""
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Levels (L,) of thickness; the mean linear light (L, 3) of each in the clip's own pictures, both rising; and the
+    median difference (L, 3) of these pictures from it."""
     thick, bright = [np.zeros(0)], [np.zeros((0, 3))]
     for c, camera in enumerate(observation.cameras):
         pixels_per_voxel = voxels.voxel_size * float(np.nanmedian(np.abs(voxels.jacobian[c]).max((-1, -2))))
@@ -199,7 +209,7 @@ def _light_by_thickness(
             bright.append(light[flame])
     thickness, light = np.concatenate(thick), np.concatenate(bright)
     if not len(thickness):
-        return np.array([0.0, 1.0]), np.zeros((2, 3))
+        return np.array([0.0, 1.0]), np.zeros((2, 3)), np.zeros((2, 3))
     edges = np.unique(np.quantile(thickness, np.linspace(0, 1, LEVELS + 1)))
     level = np.clip(np.searchsorted(edges, thickness, "right") - 1, 0, max(len(edges) - 2, 0))
     used = np.unique(level)
@@ -215,4 +225,6 @@ def _light_by_thickness(
         fall, start = np.polyfit(levels[sure], curve[sure] / levels[sure, None], 1)
         little = levels[thin, None]
         curve[thin] = np.minimum(curve[thin], np.maximum(start + np.minimum(fall, 0) * little, 0) * little)
-    return np.concatenate([[0.0], levels]), np.concatenate([np.zeros((1, 3)), curve])
+    spread = np.array([np.median(abs(light[level == k] - mean), axis=0) for k, mean in zip(used, curve, strict=True)])
+    nothing = np.zeros((1, 3))
+    return np.append(0.0, levels), np.concatenate([nothing, curve]), np.concatenate([nothing, spread])

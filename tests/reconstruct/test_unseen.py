@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from gof.reconstruct.observation import Observation
-from gof.reconstruct.optimize import over_plain
+from gof.reconstruct.optimize import measure_beyond, over_plain
 from gof.reconstruct.parameters import from_raw, splats, to_raw
 from gof.reconstruct.unseen import OFTEN, cameras_around, find_compact_flame, imagine_views, unsaturated_light
 from gof.reconstruct.voxels import carve
@@ -154,12 +154,17 @@ def test_light_of_a_thickness_is_its_mean_in_the_clip():
     lengths = 4 * ball(observed.cameras, MIDDLE, RADIUS)[1]
     image = observed.image.copy()
     image[2] = seen(lengths[None], (1.0, 0.3, 0.4))[0]
-    red, _, blue = imagined(voxels, replace(observed, image=image)).view(0, 0).light
+    view = imagined(voxels, replace(observed, image=image)).view(0, 0)
+    red, _, blue = view.light
     thick = red > 0.6
     through = 1 - red[thick] / 0.98
     mean = 0.98 * np.mean([1 - through**share for share in (0.02, 0.02, 0.4)], axis=0)
     assert thick.sum() > 20
     np.testing.assert_allclose(blue[thick], mean, rtol=0.1)
+    usual = 0.98 * (1 - through**0.02)
+    np.testing.assert_allclose(view.spread[2][thick], mean - usual, rtol=0.15, err_msg="two of three are so far off")
+    assert view.spread[0][thick].max() < 0.05 * red.max(), "red is the same in all"
+    assert not view.spread[:, view.light[0] == 0].any(), "where nothing is, nothing may be"
 
 
 def test_white_pictures_and_white_plates_are_finite():
@@ -194,6 +199,15 @@ def test_fire_adds_light_to_a_plain_plate():
     np.testing.assert_allclose(drawn, shown(behind + light[:, 0]), atol=1e-5)
     white = [p.numpy()[0] for p in over_plain(light + 3, plain)]
     np.testing.assert_allclose(white, 1, atol=1e-6)  # a screen shows no more
+
+
+def test_gaussians_are_free_within_the_spread():
+    seen, least, most = (Float(np.float32(x)) for x in ([0.1, 0.4, 0.5, 0.9], [0.3] * 4, [0.5] * 4))
+    dr.enable_grad(seen)
+    loss = measure_beyond([seen], [least], [most])
+    assert float(loss.array[0]) == pytest.approx((0.2 + 0.4) / 4)
+    dr.backward(loss)
+    np.testing.assert_allclose(dr.grad(seen).numpy(), [-0.25, 0, 0, 0.25])
 
 
 # ---------------------------------------------------------------- colours of light
