@@ -69,7 +69,9 @@ def test_doctor(hostile, capsys):
 def test_import_and_generate(hostile, tiny_dataset, tmp_path):
     pytest.importorskip("bpy")
     result = random_gaussians(5).save(tmp_path / "result.npz")
-    assert main(["import", str(result), "--dataset", str(tiny_dataset), "--out", str(tmp_path / "x.blend")]) == 0
+    words = ["import", str(result), "--dataset", str(tiny_dataset), "--out", str(tmp_path / "x.blend")]
+    assert main(words) == 0
+    assert main([*words, "--overwrite"]) == 0  # which Blender has to hear of, too
     from gof_benchmark.generator import blender_process
 
     with pytest.raises(GofError):

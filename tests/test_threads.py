@@ -6,7 +6,7 @@ import time
 
 import pytest
 
-from gof.host.threads import core_count, map_on_cores
+from gof.host.threads import AHEAD, core_count, map_beside, map_on_cores
 
 
 def test_results_keep_their_order_whoever_is_done_first():
@@ -49,3 +49,33 @@ def test_a_user_may_ask_for_fewer_cores(monkeypatch, asked, most):
     assert 1 <= own <= os.cpu_count()
     monkeypatch.setenv("OMP_NUM_THREADS", asked)
     assert core_count() == min(own, most)
+
+
+def test_beside_the_caller_makes_items_while_results_come_in_order():
+    made, makers, workers = [], set(), set()
+
+    def items():
+        for n in range(6):
+            makers.add(threading.current_thread())
+            made.append(n)
+            yield n
+
+    def square(n):
+        workers.add(threading.current_thread())
+        return n * n
+
+    results = map_beside(square, items())
+    assert next(results) == 0
+    assert len(made) == 1 + AHEAD  # not all of them: pictures are large
+    assert list(results) == [1, 4, 9, 16, 25]
+    assert makers == {threading.current_thread()} and len(workers) == 1 and not makers & workers
+
+
+def test_beside_a_failure_ends_both():
+    def fail(n):
+        raise ValueError(f"picture {n}")
+
+    made = []
+    with pytest.raises(ValueError, match="picture 0"):
+        list(map_beside(fail, (made.append(n) or n for n in range(50))))
+    assert len(made) <= 2 + AHEAD

@@ -18,7 +18,7 @@ from gof.host.processes import python_command
 from gof.host.worker import run_worker
 from gof.look.report import Preview
 
-SAMPLES = 16  # per pixel of the preview
+SAMPLES = 16  # per pixel of the preview at most; a dataset's own pictures may have fewer
 
 
 @dataclass
@@ -72,7 +72,8 @@ def main(argv: list[str]) -> int:
         "samples": SAMPLES,
     }
     words = [word for name, value in options.items() for word in (f"--{name}", str(value))]
-    worker = python_command("-m", "gof_blender.worker.import_result", *words)
+    # All that may not be replaced has been refused above.
+    worker = python_command("-m", "gof_blender.worker.import_result", *words, "--overwrite")
     extras.require("bpy", "blender", "gof import")
     cost = run_worker(worker, "import into Blender")
     names = [c.name for c in dataset.cameras]

@@ -62,9 +62,11 @@ def emission(cloud: GaussianCloud, curve: ToneCurve) -> np.ndarray:
     """Light (N, 3) float64, finite, >= 0, that each Gaussian emits per unit of opacity; emissive ones per unit of
     `HIDING` times it."""
     light = curve.light(cloud.color)
-    for _ in range(max(1, min(MOST_ROUNDS, ROUNDS_BUDGET // max(len(cloud), 1)))):
+    rounds = max(1, min(MOST_ROUNDS, ROUNDS_BUDGET // max(len(cloud), 1)))
+    kept = list(pictures(cloud)) if rounds == MOST_ROUNDS else None  # a larger cloud's take too much memory
+    for _ in range(rounds):
         lacking, weight = np.zeros_like(light), np.zeros(len(light))
-        for picture in pictures(cloud):
+        for picture in kept or pictures(cloud):
             ratio, share = picture.compare(cloud.color, light, curve, HIDING if cloud.emissive else 1.0)
             weight += np.bincount(picture.rows, share, len(light))
             for channel in range(3):
@@ -132,10 +134,11 @@ def pictures(cloud: GaussianCloud) -> Iterator[Picture]:
         place = np.repeat(cloud.position[alive] + age[:, None] * cloud.velocity[alive], points, 0)
         place = (place + np.einsum("nij,nj->ni", axes[rows], random.standard_normal((len(rows), 3)))) / pixel
         depth = np.repeat(2 * np.pi * alpha * spread[alive] / pixel**2 / points, points)
+        place_m = place * pixel
         for angle in np.pi * np.arange(DIRECTIONS) / DIRECTIONS:
             across = place[:, 0] * np.cos(angle) + place[:, 1] * np.sin(angle)
             owner = _pixel_numbers(across, place[:, 2])
-            yield Picture(rows, owner, depth, place * pixel, float(time), pixel**2)
+            yield Picture(rows, owner, depth, place_m, float(time), pixel**2)
 
 
 def _slices(cloud: GaussianCloud, first: np.ndarray, last: np.ndarray) -> tuple[np.ndarray, float]:

@@ -176,7 +176,8 @@ def run(args: argparse.Namespace) -> None:
     save_blend(args.blend)
     progress(2, total)
     if args.preview is not None:
-        render_preview(args.preview, args.samples or scene.samples)
+        # More than the pictures have that it is compared with cost most of the command's time, and show as much.
+        render_preview(args.preview, min(args.samples or scene.samples, scene.samples))
         progress(3, total)
     print(f"{thing.name}: {len(cloud)} Gaussians, {args.mode}")
 
@@ -216,7 +217,9 @@ def main(argv: list[str] | None = None) -> int:
     parser.add_argument("--frame", type=int, default=0, help="dataset frame of the preview and of the saved scene")
     parser.add_argument("--camera", default="cam_0", help="rig camera of the preview")
     parser.add_argument("--mode", choices=("ellipsoids", "points", "splats"), default="ellipsoids", help="shapes")
-    parser.add_argument("--samples", type=int, help="Cycles samples of the preview; default: the dataset's own")
+    parser.add_argument(
+        "--samples", type=int, help="Cycles samples of the preview, at most the dataset's own; default: these"
+    )
     parser.add_argument("--overwrite", action="store_true", help="replace existing output files")
     args = parser.parse_args(argv)
     for name in ("result", "dataset", "blend", "preview"):

@@ -11,7 +11,7 @@ which the method has not seen either.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -22,6 +22,7 @@ from gof.core.gaussians import MovingGaussians
 from gof.dataset import Dataset
 from gof.evaluate.image import psnr, ssim
 from gof.evaluate.scores import AroundScore
+from gof.host.threads import map_beside
 
 LUMINANCE = np.array([0.2126, 0.7152, 0.0722])  # of red, green and blue (ITU-R BT.709)
 HUE_MARGIN_DEG = 10.0
@@ -60,21 +61,29 @@ def score_around(
     """
     from gof.render import render  # here: it loads the compiler
 
+    def pictures() -> Iterator[tuple[int, np.ndarray, np.ndarray, np.ndarray]]:
+        for done, view in enumerate(views):
+            camera, times_s = around.cameras[view.number], around.camera_times_s(view.number)
+            for frame in around.frames(view.number):
+                truth, mask = around.image(view.number, frame), around.mask(view.number, frame)
+                if not known[frame] or mask is None or not mask.any():
+                    continue
+                time_s = float(times_s[frame])
+                drawn = render(gaussians.state_at(time_s), camera, time_s, background=view.background)["color"]
+                yield done, drawn, truth, mask
+            progress(done + 1, len(views), stage="around")
+
+    def score(picture: tuple[int, np.ndarray, np.ndarray, np.ndarray]) -> tuple[int, dict[str, float | None]]:
+        number, drawn, truth, mask = picture
+        return number, picture_figures(np.clip(drawn, 0, 1), truth, mask)
+
+    found = list(map_beside(score, pictures()))
     scores = []
-    for done, view in enumerate(views):
-        camera, times_s = around.cameras[view.number], around.camera_times_s(view.number)
-        rows = []
-        for frame in around.frames(view.number):
-            truth, mask = around.image(view.number, frame), around.mask(view.number, frame)
-            if not known[frame] or mask is None or not mask.any():
-                continue
-            time_s = float(times_s[frame])
-            drawn = render(gaussians.state_at(time_s), camera, time_s, background=view.background)["color"]
-            rows.append(picture_figures(np.clip(drawn, 0, 1), truth, mask))
-        progress(done + 1, len(views), stage="around")
-        if rows:
+    for number, view in enumerate(views):
+        if rows := [row for of, row in found if of == number]:
             means = {name: _mean([row[name] for row in rows]) for name in rows[0]}
-            scores.append(AroundScore(camera=camera.name, angle_deg=view.angle_deg, pictures=len(rows), **means))
+            name = around.cameras[view.number].name
+            scores.append(AroundScore(camera=name, angle_deg=view.angle_deg, pictures=len(rows), **means))
     return tuple(scores)
 
 

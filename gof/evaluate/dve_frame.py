@@ -22,6 +22,7 @@ from gof.core.errors import GofError, NonFiniteError
 from gof.core.gaussians import MovingGaussians
 from gof.evaluate.expectation import expected_velocity
 from gof.evaluate.quadrature import VelocityLike
+from gof.host.threads import map_on_cores
 
 Opacity = Literal["temporal", "base"]
 
@@ -294,7 +295,7 @@ def dve(
 
 def score_sequence(frames: Sequence[Samples], velocities: Iterable[np.ndarray]) -> DVESequence:
     """Score probed frames with other velocities, (M, 3) m/s per frame, in place of the estimated ones."""
-    sums = [weighted_sums(f, v) for f, v in zip(frames, velocities, strict=True)]
+    sums = map_on_cores(lambda of: weighted_sums(*of), zip(frames, velocities, strict=True))
     return DVESequence(
         pooled=DVEResult.from_sums(sum(sums, Sums())),
         frames=[DVEResult.from_sums(s) for s in sums],

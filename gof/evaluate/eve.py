@@ -31,6 +31,7 @@ from gof.evaluate.emission import FlameGrid
 from gof.evaluate.intervals import own_generator
 from gof.evaluate.sparse_grid import StoredField, StoredFields, fields_of
 from gof.evaluate.visible import opacity_per_metre
+from gof.host.threads import map_on_cores
 
 GRADIENTS = 128  # places per frame, drawn from its light; six velocities each
 PLACES = 1024  # of a clip, each asked at every frame in which it burns
@@ -162,15 +163,18 @@ def score_eve(
     places = ClipPlaces.draw(fields, flame, times_s) if places is None else places
     answers: dict[str, np.ndarray] = {}
     there = np.zeros(places.light.shape)
-    for k, time_s in enumerate(map(float, places.times_s)):
-        rows = np.flatnonzero(places.light[k])
+
+    def asked(k: int) -> tuple[np.ndarray, np.ndarray, dict[str, np.ndarray]]:
+        time_s, rows = float(places.times_s[k]), np.flatnonzero(places.light[k])
         state = gaussians.state_at(time_s)
         visible = opacity_per_metre(places.position[rows], state, time_s)
-        there[k, rows] = visible.total()
-        for name, velocity in _said(state, fields.at(time_s), time_s, visible.gaussian).items():
-            answers.setdefault(name, np.zeros_like(places.truth))[k, rows] = visible.mean_velocity(velocity)
-        if progress:
-            progress(k + 1, len(places.times_s))
+        said = _said(state, fields.at(time_s), time_s, visible.gaussian)
+        return rows, visible.total(), {name: visible.mean_velocity(velocity) for name, velocity in said.items()}
+
+    for k, (rows, total, means) in enumerate(map_on_cores(asked, range(len(places.times_s)), progress)):
+        there[k, rows] = total
+        for name, velocity in means.items():
+            answers.setdefault(name, np.zeros_like(places.truth))[k, rows] = velocity
     mean = (places.light * there).sum() / max(places.light.sum(), 1e-300)
     empty = there <= EMPTY * mean
     for velocity in answers.values():
@@ -293,23 +297,24 @@ def score_gradients(
         DataFormatError: see `FlameGrid.places`.
     """
     rng, fields = own_generator("places of gradients", seed), fields_of(truth)
-    sums, uncovered, count = np.zeros(5), 0, 0
-    for k, time_s in enumerate(map(float, times_s)):
-        places = flame.places(time_s, GRADIENTS, rng)
-        if len(places):
-            field = fields.at(time_s)
-            sides = six_sides(places, field.voxel_size)
-            state = gaussians.state_at(time_s)
-            seen = opacity_per_metre(sides, state, time_s)
-            velocity = seen.mean_velocity(state.moving_gas)
-            known = (seen.total() > 0).reshape(6, -1).all(0)
-            found = gradient(velocity, field.voxel_size) * known[:, None, None]
-            true = gradient(field.sample(sides).astype(np.float64), field.voxel_size)
-            sums += _squares(found, true)
-            uncovered += int((~known).sum())
-            count += len(places)
-        if progress:
-            progress(k + 1, len(times_s))
+    drawn = [(time_s, flame.places(time_s, GRADIENTS, rng)) for time_s in map(float, times_s)]
+
+    def errors(of: tuple[float, np.ndarray]) -> tuple[np.ndarray, int]:
+        time_s, places = of
+        if not len(places):
+            return np.zeros(5), 0
+        field, state = fields.at(time_s), gaussians.state_at(time_s)
+        sides = six_sides(places, field.voxel_size)
+        seen = opacity_per_metre(sides, state, time_s)
+        velocity = seen.mean_velocity(state.moving_gas)
+        known = (seen.total() > 0).reshape(6, -1).all(0)
+        found = gradient(velocity, field.voxel_size) * known[:, None, None]
+        true = gradient(field.sample(sides).astype(np.float64), field.voxel_size)
+        return _squares(found, true), int((~known).sum())
+
+    found = map_on_cores(errors, drawn, progress)
+    sums = sum((squares for squares, _ in found), np.zeros(5))
+    uncovered, count = sum(unknown for _, unknown in found), sum(len(places) for _, places in drawn)
     rotation, true_rotation, expansion, true_expansion, size = sums
     return GradientErrors(
         vorticity_l2=float(np.sqrt(rotation / true_rotation)) if true_rotation > 0 else None,

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from functools import lru_cache
 from pathlib import Path
 from typing import Any
@@ -28,11 +29,15 @@ def psnr(image: np.ndarray, truth: np.ndarray, mask: np.ndarray | None = None) -
     Raises:
         GofError: shapes disagree.   NonFiniteError: NaN or Inf in a picture.
     """
+    return psnr_by_mask(image, truth, [mask])[0]
+
+
+def psnr_by_mask(image: np.ndarray, truth: np.ndarray, masks: Sequence[np.ndarray | None]) -> list[float | None]:
+    """Return `psnr` with each of the masks."""
     image, truth = _pair(image, truth)
-    error = _mean(((image - truth) ** 2).mean(-1), mask)
-    if error is None:
-        return None
-    return float(-10 * np.log10(max(error, 10 ** (-MOST_DB / 10))))
+    squared = ((image - truth) ** 2).mean(-1)
+    errors = [_mean(squared, mask) for mask in masks]
+    return [None if error is None else float(-10 * np.log10(max(error, 10 ** (-MOST_DB / 10)))) for error in errors]
 
 
 def ssim(image: np.ndarray, truth: np.ndarray, mask: np.ndarray | None = None) -> float | None:
@@ -40,7 +45,13 @@ def ssim(image: np.ndarray, truth: np.ndarray, mask: np.ndarray | None = None) -
 
     Arguments, errors and None as in `psnr`.
     """
-    return _mean(ssim_map(image, truth).mean(-1), mask)
+    return ssim_by_mask(image, truth, [mask])[0]
+
+
+def ssim_by_mask(image: np.ndarray, truth: np.ndarray, masks: Sequence[np.ndarray | None]) -> list[float | None]:
+    """Return `ssim` with each of the masks."""
+    similarity = ssim_map(image, truth).mean(-1)
+    return [_mean(similarity, mask) for mask in masks]
 
 
 def ssim_map(image: np.ndarray, truth: np.ndarray) -> np.ndarray:
@@ -117,11 +128,16 @@ def flip(image: np.ndarray, truth: np.ndarray, mask: np.ndarray | None = None) -
     Raises:
         MissingDependencyError: flip-evaluator is not installed.
     """
+    return flip_by_mask(image, truth, [mask])[0]
+
+
+def flip_by_mask(image: np.ndarray, truth: np.ndarray, masks: Sequence[np.ndarray | None]) -> list[float | None]:
+    """Return `flip` with each of the masks."""
     image, truth = _pair(image, truth)
     flip_evaluator = extras.load("flip_evaluator", "scores", "FLIP")
     picture, reference = (np.ascontiguousarray(np.clip(p, 0, 1), np.float32) for p in (image, truth))
     error, _, _ = flip_evaluator.evaluate(reference, picture, "LDR", applyMagma=False, computeMeanError=False)
-    return _mean(np.asarray(error, np.float64)[..., 0], mask)
+    return [_mean(np.asarray(error, np.float64)[..., 0], mask) for mask in masks]
 
 
 def lpips(image: np.ndarray, truth: np.ndarray, weights: Path) -> float:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -16,13 +16,15 @@ from gof.dataset import Dataset
 from gof.evaluate.authors_figures import Flow, PublishedFrame, drawn_disparity, mean_figures, published_figures
 from gof.evaluate.between import between_neighbours
 from gof.evaluate.depth import read_depth, rmse_to_map
-from gof.evaluate.image import flip, lpips, psnr, ssim, temporal_l2
+from gof.evaluate.image import flip_by_mask, lpips, psnr_by_mask, ssim_by_mask, temporal_l2
 from gof.evaluate.scores import FIGURES, ImageScores, PictureFigures, PictureScore, PublishedFigures
+from gof.host.threads import map_beside
 
 Progress = Callable[..., None]  # progress(done, total, stage=...)
 Weights = np.ndarray | None  # (H, W) what a pixel counts for, 0..1; None = all count
 Background = np.ndarray | tuple[float, float, float]  # (H, W, 3) display values, or one colour
-Metric = Callable[[np.ndarray, np.ndarray, Weights], float | None]  # of a picture and its truth, (H, W, 3)
+# Of a picture and its truth, (H, W, 3): a score with each of the weights.
+Metric = Callable[[np.ndarray, np.ndarray, Sequence[Weights]], Sequence[float | None]]
 
 BLACK = (0.0, 0.0, 0.0)
 BETWEEN = ("psnr", "ssim")  # of the two frames around
@@ -102,22 +104,30 @@ def image_scores(
         known: (T,) bool, the frames that the result says something about.
         plates: per camera, the dataset's fire-free picture.
         backgrounds: per camera, what the result is drawn over.
-        costs: seconds by part; "render" and "images" are added.
+        costs: seconds by part; "render" and, beside it, "images" are added.
     """
     metrics = _metrics(extras)
     frames = [k for k in _frames_to_draw(dataset) if known[k]]
-    rows: list[PictureScore] = []
-    published: list[PublishedFigures] = []
     boards = [dataset.board_weight(number) for number in range(len(dataset.cameras))]
-    for number, board in enumerate(boards):
-        view = View(number, backgrounds[number], plates[number], board)
-        for i, (frame, after) in enumerate(_with_next(_draw(gaussians, dataset, view, frames, extras, costs))):
-            if frame.number in dataset.test_frames:
-                with timed(costs, "images"):
-                    rows.append(_picture_score(dataset, view, frame, after, metrics, extras))
-                    if extras.flow is not None and after is not None:
-                        published.append(_published(dataset, view, frame, after, extras))
-            progress(number * len(frames) + i + 1, len(boards) * len(frames), stage="pictures")
+
+    def held_out() -> Iterator[tuple[View, Frame, Frame | None]]:
+        for number, board in enumerate(boards):
+            view = View(number, backgrounds[number], plates[number], board)
+            for i, (frame, after) in enumerate(_with_next(_draw(gaussians, dataset, view, frames, extras, costs))):
+                if frame.number in dataset.test_frames:
+                    yield view, frame, after
+                progress(number * len(frames) + i + 1, len(boards) * len(frames), stage="pictures")
+
+    def score(of: tuple[View, Frame, Frame | None]) -> tuple[PictureScore, PublishedFigures | None]:
+        view, frame, after = of
+        with timed(costs, "images"):
+            row = _picture_score(dataset, view, frame, after, metrics, extras)
+            wanted = extras.flow is not None and after is not None
+            return row, _published(dataset, view, frame, after, extras) if wanted else None
+
+    scored = list(map_beside(score, held_out()))
+    rows = [row for row, _ in scored]
+    published = [figures for _, figures in scored if figures is not None]
     covered = [0.0 if board is None else float(1 - board.mean()) for board in boards]
     statistics = {name: _mean_and_spread([getattr(row, name) for row in rows]) for name in FIGURES}
     return FoundImageScores(
@@ -136,17 +146,17 @@ def image_scores(
 
 def _metrics(extras: Extras) -> Metrics:
     """Return the image scores that can be computed here, and why others are absent."""
-    metrics = Metrics({"psnr": psnr, "ssim": ssim}, [])
-    optional: dict[str, Metric] = {"flip": flip}
+    metrics = Metrics({"psnr": psnr_by_mask, "ssim": ssim_by_mask}, [])
+    optional: dict[str, Metric] = {"flip": flip_by_mask}
     weights = extras.weights
     if weights is None:
         metrics.absent.append("LPIPS: give --weights, the folder with its weight file")
     else:
-        optional["lpips"] = lambda image, truth, weight: lpips(_faded(image, weight), _faded(truth, weight), weights)
+        optional["lpips"] = lambda image, truth, of: [lpips(_faded(image, w), _faded(truth, w), weights) for w in of]
     black = np.zeros((64, 64, 3))
     for name, metric in optional.items():
         try:
-            metric(black, black, None)
+            metric(black, black, [None])
             metrics.picture[name] = metric
         except MissingDependencyError as e:
             metrics.absent.append(str(e))
@@ -177,7 +187,6 @@ def _draw(
             state, camera = gaussians.state_at(time_s), dataset.cameras[view.number]
             drawn = render(state, camera, time_s, background=view.background)
             disparity = None if extras.flow is None else drawn_disparity(state, camera, time_s)
-        with timed(costs, "images"):
             truth = dataset.image(view.number, k)
             mask = dataset.mask(view.number, k)
         yield Frame(k, np.clip(drawn["color"], 0, 1), drawn["alpha"], drawn["depth"], disparity, truth, mask)
@@ -207,9 +216,11 @@ def _picture_score(
         for name, metric in metrics.picture.items():
             if picture is None or (suffix == "_between" and name not in BETWEEN):
                 continue
-            figures[f"{name}{suffix}"] = metric(picture, frame.truth, board)
+            weights = {name: board}
             if name != "lpips" and mask is not None:
-                figures[f"{name}_flame{suffix}"] = metric(picture, frame.truth, _both(mask, board))
+                weights[f"{name}_flame"] = _both(mask, board)
+            found = metric(picture, frame.truth, list(weights.values()))
+            figures |= {f"{of}{suffix}": value for of, value in zip(weights, found, strict=True)}
     if after is not None:
         either = None if mask is None or after.mask is None else np.maximum(mask, after.mask)
         change = temporal_l2((frame.image, after.image), (frame.truth, after.truth), _both(either, board))

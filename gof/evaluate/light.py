@@ -17,6 +17,7 @@ from gof.core.shining import shining_at
 from gof.evaluate.emission import FlameGrid
 from gof.evaluate.quadrature import product_rule
 from gof.evaluate.visible import opacity_per_metre
+from gof.host.threads import map_on_cores
 
 CELLS = 32  # along the flame's longest side
 FRAMES = 8  # of a clip, evenly spread
@@ -59,12 +60,12 @@ def score_light(
         DataFormatError: see `FlameGrid.places`.
     """
     chosen = np.unique(np.linspace(0, len(times_s) - 1, min(FRAMES, len(times_s))).round().astype(int))
-    frames = []
-    for done, time_s in enumerate(np.asarray(times_s, np.float64)[chosen]):
-        frame = _compare(gaussians.state_at(float(time_s)), flame, float(time_s), forward)
-        frames += [] if frame is None else [frame]
-        if progress:
-            progress(done + 1, len(chosen))
+
+    def compare(time_s: float) -> _Frame | None:
+        return _compare(gaussians.state_at(time_s), flame, time_s, forward)
+
+    found = map_on_cores(compare, np.asarray(times_s, np.float64)[chosen].tolist(), progress)
+    frames = [frame for frame in found if frame is not None]
     if not frames:
         return None
     error, product, square, true_square, outside = (

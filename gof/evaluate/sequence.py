@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import warnings
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -13,6 +13,7 @@ from gof.core.gaussians import MovingGaussians
 from gof.evaluate.dve_frame import DVEResult, DVESequence, Opacity, Samples, Sums, probe, weighted_sums
 from gof.evaluate.sparse_grid import fields_of
 from gof.evaluate.trivial_baselines import fluctuation, score_trivial_baselines
+from gof.host.threads import map_beside
 
 
 def dve_sequence(
@@ -54,19 +55,26 @@ def dve_sequence(
     if len(times) == 0:
         raise GofError(f"no scored time lies within the trajectory's {first:g}..{last:g} s")
     fields, frames = fields_of(sequence), list[Samples]()
+
+    def probed() -> Iterator[Samples]:
+        for k, time_s in enumerate(times):
+            # of a store only the chunks that Gaussians touch are read
+            yield probe(gaussians, fields.at(float(time_s)), float(time_s), order, opacity, include_static)
+            if progress:
+                progress(k + 1, len(times))
+
+    def sums_of(samples: Samples) -> tuple[Samples | None, Sums, Sums]:
+        kept = samples if trivial_baselines else None
+        return kept, weighted_sums(samples), weighted_sums(samples.only_inside())
+
     results: list[DVEResult] = []
     pooled = inside = Sums()
-    for k, time_s in enumerate(times):
-        # of a store only the chunks that Gaussians touch are read
-        samples = probe(gaussians, fields.at(float(time_s)), float(time_s), order, opacity, include_static)
-        if trivial_baselines:
+    for samples, own, own_inside in map_beside(sums_of, probed()):
+        if samples is not None:
             frames.append(samples)
-        own = weighted_sums(samples)
         pooled = pooled + own
-        inside = inside + weighted_sums(samples.only_inside())
+        inside = inside + own_inside
         results.append(DVEResult.from_sums(own))
-        if progress:
-            progress(k + 1, len(times))
     if pooled.weight == 0:
         raise GofError(
             "no Gaussian has weight at any scored time; are t_mu and t_sigma in seconds on the dataset clock?"

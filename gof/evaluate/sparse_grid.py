@@ -11,6 +11,7 @@ from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from functools import cached_property, reduce
+from threading import Lock
 from typing import Any
 
 import numpy as np
@@ -109,12 +110,13 @@ class StoredField:
 class StoredFields:
     """The fields of a store by time, each with what was read of it for as long as all that fits into KEPT_BYTES.
 
-    Every score of a clip goes through its frames, and asks for about the same chunks.
+    Every score of a clip goes through its frames, and asks for about the same chunks. Threads may ask at once.
     """
 
     def __init__(self, sequence: VelocitySequence):
         self.sequence = sequence
         self._kept: dict[float, StoredField] = {}
+        self._one_at_a_time = Lock()
 
     @property
     def times_s(self) -> np.ndarray:
@@ -122,10 +124,11 @@ class StoredFields:
 
     def at(self, time_s: float) -> StoredField:
         """Return the field of a time. Raises DataFormatError, when it is read: outside of the stored clock."""
-        field = self._kept.pop(time_s, None) or StoredField(self.sequence, time_s)
-        while self._kept and sum(other.bricks.read_bytes for other in self._kept.values()) > KEPT_BYTES:
-            del self._kept[next(iter(self._kept))]  # the one that was longest not asked for
-        self._kept[time_s] = field
+        with self._one_at_a_time:
+            field = self._kept.pop(time_s, None) or StoredField(self.sequence, time_s)
+            while self._kept and sum(other.bricks.read_bytes for other in self._kept.values()) > KEPT_BYTES:
+                del self._kept[next(iter(self._kept))]  # the one that was longest not asked for
+            self._kept[time_s] = field
         return field
 
 
@@ -163,7 +166,8 @@ class Bricks:
     @property
     def read_bytes(self) -> int:
         """How large what was read may be."""
-        return 0 if self._pool is None else self._pool.cells.nbytes
+        pool = self._pool  # which another thread may be replacing
+        return 0 if pool is None else pool.cells.nbytes
 
     def cell_ranges(self, position: np.ndarray, scale: np.ndarray, outermost: float) -> tuple[np.ndarray, np.ndarray]:
         """Return first and last cell (M, 3) that nodes up to `outermost` standard deviations along each own axis can

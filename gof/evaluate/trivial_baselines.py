@@ -14,6 +14,7 @@ import numpy as np
 from gof.core.gaussians import MovingGaussians
 from gof.evaluate.dve_frame import DVEResult, DVESequence, Samples, Sums, score_sequence, weighted_sums
 from gof.evaluate.intervals import own_generator
+from gof.host.threads import map_on_cores
 
 HEIGHT_BINS = 32
 MIN_PER_BIN = 64  # fewer Gaussians in a layer and the layer's mean would follow single Gaussians
@@ -87,7 +88,7 @@ def fluctuation(frames: Sequence[Samples]) -> DVEResult:
     v[np.abs(v).max(1, initial=0) <= noise * np.abs(velocity).max(initial=0)] = 0
     t[np.abs(t).max(1, initial=0) <= noise * np.abs(truth).max(initial=0)] = 0
     parts = zip(frames, _split(v, frames), _split(t, frames), strict=True)
-    result = DVEResult.from_sums(sum((weighted_sums(f, a, b) for f, a, b in parts), Sums()))
+    result = DVEResult.from_sums(sum(map_on_cores(lambda of: weighted_sums(*of), parts), Sums()))
     if result.l2 is None and result.weight > 0:
         return replace(result, undefined="the true velocity is the same everywhere at each height")
     return result

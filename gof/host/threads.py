@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Iterable
-from concurrent.futures import ThreadPoolExecutor
+from collections import deque
+from collections.abc import Callable, Iterable, Iterator
+from concurrent.futures import Future, ThreadPoolExecutor
 from typing import TypeVar
 
 T = TypeVar("T")
 R = TypeVar("R")
+AHEAD = 2  # items that wait for `map_beside`: pictures are large
 
 
 def core_count() -> int:
@@ -42,3 +44,24 @@ def map_on_cores(
             pool.shutdown(cancel_futures=True)
             raise
     return done
+
+
+def map_beside(function: Callable[[T], R], items: Iterable[T]) -> Iterator[R]:
+    """Yield function(item) of each, in order; a thread does that while the caller's makes the next items.
+
+    For items that only the caller's thread may make, as Dr.Jit's pictures, and are not all to be held at once.
+
+    Raises:
+        whatever making an item or the function raised; what waits does not begin.
+    """
+    waiting: deque[Future[R]] = deque()
+    with ThreadPoolExecutor(1) as beside:
+        try:
+            for item in items:
+                waiting.append(beside.submit(function, item))
+                if len(waiting) > AHEAD:
+                    yield waiting.popleft().result()
+            while waiting:
+                yield waiting.popleft().result()
+        finally:
+            beside.shutdown(cancel_futures=True)

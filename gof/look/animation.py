@@ -18,6 +18,7 @@ from gof.core.gaussians import TransientGaussians
 from gof.dataset import Dataset
 from gof.evaluate.expectation import expected_velocity
 from gof.evaluate.screen_motion import screen_velocities
+from gof.host.threads import map_on_cores
 from gof.look import velocity as velocity_module
 from gof.look.images import data_uri, enlarge, factor_for, side_by_side, to_bytes
 
@@ -89,17 +90,15 @@ def animate(
 
     longest = velocity_module.fastest([f[-1] for _, f in drawn])
     factor = factor_for(camera.width)
-    pages = []
-    for k, (pictures, fields) in zip(frames, drawn, strict=True):
+
+    def page(number: int) -> np.ndarray:
+        k, (pictures, fields) = frames[number], drawn[number]
         panels = [enlarge(p, factor) for p in pictures] + [velocity_module.draw(f, longest, factor) for f in fields]
         held_out = k in dataset.test_frames
-        pages.append(
-            _stamp(
-                side_by_side(panels),
-                f"{1000 * (dataset.times_s[k] - dataset.times_s[0]):.0f} ms" + ("   held out" if held_out else ""),
-                held_out,
-            )
-        )
+        words = f"{1000 * (dataset.times_s[k] - dataset.times_s[0]):.0f} ms" + ("   held out" if held_out else "")
+        return _stamp(side_by_side(panels), words, held_out)
+
+    pages = map_on_cores(page, range(len(frames)))
     frame_s = dataset.frame_time_s
     shown_ms = int(np.clip(round(8 * frame_s * 1000), 60, 200))
     titles = [

@@ -13,6 +13,7 @@ from PIL import Image
 
 from gof.dataset import Dataset
 from gof.footage.pictures import read_picture
+from gof.host.threads import map_on_cores
 
 PANEL_WIDTH = 360  # px; small pictures are enlarged to about this by a whole factor
 GAP, BETWEEN = 4, 110  # px between panels, and their grey: readable on light and dark pages
@@ -127,10 +128,12 @@ def frames_within(
     packed: list[list[str | None] | None] = []
     total = 0
     for number, (dataset, camera) in enumerate(views):
-        taken = [
-            base64_text(webp(dataset.image(camera, k), side, quality)) if k % every == 0 else None
-            for k in range(frames)
-        ]
+
+        def text(k: int, dataset: Dataset = dataset, camera: int = camera) -> str:
+            return base64_text(webp(dataset.image(camera, k), side, quality))
+
+        kept = map_on_cores(text, range(0, frames, every))
+        taken = [kept[k // every] if k % every == 0 else None for k in range(frames)]
         packed.append(taken)
         total += sum(len(text) for text in taken if text)
         if progress:

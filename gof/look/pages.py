@@ -14,6 +14,7 @@ from PIL import ImageColor
 
 from gof.core.errors import GofError
 from gof.evaluate.leaderboard import EvaluatedResult
+from gof.host.threads import map_on_cores
 from gof.look.comparison import Moment, comparison, scored_subject
 from gof.look.images import base64_text, data_uri, enlarge, factor_for
 from gof.look.tiles import BOX_COLOURS, Bar, Row, Tile, Wheel
@@ -69,10 +70,11 @@ class PageGrid:
 
 def page_pictures(rows: Sequence[Row]) -> list[list[PagePicture | None]]:
     """Return the tiles of a figure for a page."""
-    return [
-        [None if tile is None else PagePicture(data_uri(flat(tile)), tile.title, in_words(tile)) for tile in row]
-        for row in rows
-    ]
+
+    def of(tile: Tile | None) -> PagePicture | None:
+        return None if tile is None else PagePicture(data_uri(flat(tile)), tile.title, in_words(tile))
+
+    return [map_on_cores(of, row) for row in rows]
 
 
 def side_by_side(results: Sequence[EvaluatedResult], moment: Moment) -> PageGrid | None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 import time
 from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
 from statistics import fmean
@@ -77,42 +78,46 @@ def build_report(
         dataset, gaussians, plates[camera], camera, lambda done, total: progress(done, total, stage="animation")
     )
     folder = out_dir / "pictures"
-    _save(animation, folder)
     frame = pictures.brightest_frame(dataset)
     table, today = ScoreTable.of(scores), time.strftime("%Y-%m-%d")
-    content = {
-        "name": dataset.description.name,
-        "made": f"{today}, gof report {gof.__version__}",
-        "dataset": _facts(dataset),
-        "animation": animation,
+    with ThreadPoolExecutor(1) as beside:
+        saved = beside.submit(_save, animation, folder)  # the encoder lets go of Python's lock
+        content = {
+            "name": dataset.description.name,
+            "made": f"{today}, gof report {gof.__version__}",
+            "dataset": _facts(dataset),
+            "animation": animation,
+            "animation_camera": dataset.cameras[camera].name,
+            "legend_uri": data_uri(legend(), "png"),
+            "longest_px_per_frame": animation.longest * dataset.frame_time_s,
+            "views": pictures.all_views(dataset, gaussians, plates, frame),
+            "views_frame": frame,
+            "views_time_ms": 1000 * (dataset.times_s[frame] - dataset.times_s[0]),
+            "views_held_out": frame in dataset.test_frames,
+            "filmed": dataset.description.is_filmed,
+            "in_metres": dataset.description.in_metres,
+            "original": pictures.original(dataset),
+            "picture_size": in_words(scores.images.sizes_px) if scores.images else "",
+            "scores": scores,
+            "answers": answers(scores, train_s),
+            "table": table,
+            "latex": table.rows and table.latex(f"{dataset.description.name}, gof {gof.__version__}, {today}"),
+            "warnings": [_without_folders(warning) for warning in scores.warnings],
+            "chart": chart.svg() if (chart := frame_chart(scores)) else "",
+            "around": _around(dataset, gaussians, scores),
+            "around_chart": chart.svg() if (chart := around_chart(scores)) else "",
+            "stages": list(stages),
+            "preview": _preview(preview, out_dir, dataset),
+            "fire_removal": fire_removal,
+            "stage_pictures": _stage_pictures(stage_pictures or result.parent / "stages"),
+            "machine": machine(),
+            "versions": versions() | _provenance(dataset),
+            "effects": dataset.description.effects,
+        }
+        saved.result()
+    content |= {
         "animation_uri": file_uri(folder / "animation.webp"),
         "still_uri": data_uri(folder / "animation.png"),
-        "animation_camera": dataset.cameras[camera].name,
-        "legend_uri": data_uri(legend(), "png"),
-        "longest_px_per_frame": animation.longest * dataset.frame_time_s,
-        "views": pictures.all_views(dataset, gaussians, plates, frame),
-        "views_frame": frame,
-        "views_time_ms": 1000 * (dataset.times_s[frame] - dataset.times_s[0]),
-        "views_held_out": frame in dataset.test_frames,
-        "filmed": dataset.description.is_filmed,
-        "in_metres": dataset.description.in_metres,
-        "original": pictures.original(dataset),
-        "picture_size": in_words(scores.images.sizes_px) if scores.images else "",
-        "scores": scores,
-        "answers": answers(scores, train_s),
-        "table": table,
-        "latex": table.rows and table.latex(f"{dataset.description.name}, gof {gof.__version__}, {today}"),
-        "warnings": [_without_folders(warning) for warning in scores.warnings],
-        "chart": chart.svg() if (chart := frame_chart(scores)) else "",
-        "around": _around(dataset, gaussians, scores),
-        "around_chart": chart.svg() if (chart := around_chart(scores)) else "",
-        "stages": list(stages),
-        "preview": _preview(preview, out_dir, dataset),
-        "fire_removal": fire_removal,
-        "stage_pictures": _stage_pictures(stage_pictures or result.parent / "stages"),
-        "machine": machine(),
-        "versions": versions() | _provenance(dataset),
-        "effects": dataset.description.effects,
     }
     with atomic_path(out_dir / "report.html") as temporary:
         temporary.write_text(template("report.html").render(content), encoding="utf-8")

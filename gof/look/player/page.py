@@ -11,7 +11,9 @@ import base64
 import io
 import json
 from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -165,12 +167,15 @@ def share_page(
     results = measured_alike(results, dataset)
     setting = PageSetting.of(results, dataset)
     packed, agreement, truths = [], [], []
-    for number, result in enumerate(results):
-        progress(number, len(results), stage=f"quantise {result.name}")
-        truths.append(setting.truth_at(result.gaussians))
-        packed.append(pack(result.gaussians, truths[-1]))
-        agreement.append(_checked(result.gaussians, packed[-1], setting))
-    content, said = setting.content(results[0], pictures_mb, lambda i, n: progress(i, n, stage="pictures"))
+    with ThreadPoolExecutor(1) as beside:  # pictures are decoded and encoded without Python's lock
+        told = partial(progress, stage="pictures")
+        pictures = beside.submit(setting.content, results[0], pictures_mb, told)
+        for number, result in enumerate(results):
+            progress(number, len(results), stage=f"quantise {result.name}")
+            truths.append(setting.truth_at(result.gaussians))
+            packed.append(pack(result.gaussians, truths[-1]))
+            agreement.append(_checked(result.gaussians, packed[-1], setting))
+        content, said = pictures.result()
     shown = [packed_result(result.name, one) for result, one in zip(results, packed, strict=True)]
     content |= scales([result.gaussians for result in results], truths)
     content |= {
