@@ -15,7 +15,7 @@ from subprocess import PIPE
 
 import numpy as np
 
-from gof.capture.flame_clock import FlameLight, NoFlameClock, find_offset, read_light
+from gof.capture.flame_clock import ERROR_FRAMES, FlameLight, NoFlameClock, find_offset, read_light
 from gof.capture.sound_clock import NoSoundClock, SoundLag, find_lag
 from gof.capture.sync import nearest_frames
 from gof.capture.times import Clock, CounterReading, DecodingCost, FrameTime, FrameTimesFile, SyncedVideo, VideoTimes
@@ -52,7 +52,6 @@ def read_sound(path: Path) -> np.ndarray:
 
 NO_BOARD = "none"  # what times.json calls a board that is not there
 SOUND_S = 0.003  # sound of 1 m more of way; the cameras' own delays between sound and picture are not seen at all
-FLAME_FRAMES = 1.0  # standard deviation of a pair, as `gof.capture.flame_clock` has it
 
 
 @dataclass(frozen=True)
@@ -181,7 +180,7 @@ def by_light(names: list[str], own: list[np.ndarray], lights: list[FlameLight]) 
     root = np.sqrt(weights)
     solved = np.linalg.lstsq(matrix * root[:, None], np.array(values) * root, rcond=None)[0]
     open_s = float(np.abs(matrix @ solved - values).max())
-    sigma = float(np.hypot(FLAME_FRAMES * max(steps), open_s))
+    sigma = float(np.hypot(ERROR_FRAMES * max(steps), open_s))
     said = (
         f"its times are ESTIMATED from the flame's light against the other films' (they close to "
         f"{1000 * open_s:.1f} ms): +-{1000 * sigma:.1f} ms, about {sigma / max(steps):.1f} frames"

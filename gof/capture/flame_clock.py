@@ -1,29 +1,34 @@
 """A camera without the board: its clock estimated from the flame that it filmed together with cameras that have one.
 
-Fire-coloured light (red minus blue, which white LEDs do not have) is summed along the lines of the picture: how high
-the flame stands at each moment. That is nearly the same from every side, but for the place and size of the picture, so
-lag, shift and scale at which two cameras' light agrees best are searched together. A flame that rises looks alike when
-it is seen earlier or lower, which is what limits the estimate: about a frame on the published clips
-(docs/capture.md, "A camera without the board").
+Fire-coloured light (red minus blue, of which white LEDs have little) is summed along the lines of the picture: how much
+stands at each height at each moment. That is nearly the same from every side, but for the place and size of the
+picture, so lag, shift and scale at which two cameras' light agrees best are searched together. A flame that rises looks
+alike when it is seen earlier or lower; its fastest flicker, of a few frames, does so least, and is all that is compared
+(notebook/capture.md, "A camera without a board").
 """
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+from scipy import fft
+from scipy.ndimage import gaussian_filter1d
 
 from gof.capture.times import CounterReading, DecodingCost, FrameTime, VideoTimes
 from gof.core.errors import GofError
 from gof.footage.videos import stated_fps, stored_frames
 
+FAINT = 32.0  # grey levels of red minus blue that are no fire: compressed white LEDs have 16 and more, and blink fast
 BIN_PX = 4  # lines that are summed
 SCALES = np.geomspace(0.8, 1.25, 13)  # of one camera's picture against the other's
 MOST_SHIFT = 0.35  # of the picture's height
 MIN_OVERLAP = 0.5  # of the light's changes, in time and height
-MIN_AGREEMENT = 0.4  # correlation; pairs of the published clips have 0.46 to 0.98, and 0.46 was 0.4 ms off
-ERROR_FRAMES = 1.0  # standard deviation; on 19 pairs of the published clips, docs/capture.md
+FLICKER_FRAMES = 1.5  # std-dev of the Gaussian whose slower changes are taken off; of 1 to 6, best with 1 to 1.5
+MOST_RIVAL = 0.65  # of the agreement: pairs of one take have up to 0.58, of flames of other takes from 0.70 on
+ERROR_FRAMES = 0.5  # standard deviation of a pair; notebook/capture.md
 MIN_FRAMES = 24
 
 
@@ -48,19 +53,30 @@ class FlameLight:
 
 @dataclass(frozen=True)
 class Offset:
-    """Frame k of one camera shows the flame that the other showed at its frame k + lag."""
+    """Frame k of one camera shows the flame that the other showed at its frame k + lag.
+
+    Attributes:
+        agreement: correlation of the flicker there.
+        rival: agreement at the best lag of another hill, as a ratio.
+    """
 
     lag: float
     agreement: float
+    rival: float
 
 
 def read_light(video: Path) -> FlameLight:
     """Read a video once. Raises DataFormatError as `stored_frames`."""
+    return light_of(stored_frames(video))
+
+
+def light_of(frames: Iterable[np.ndarray]) -> FlameLight:
+    """Return the light of pictures (H, W, 3) uint8 RGB, of which there is at least one."""
     import cv2
 
     columns, rows, size = [], [], (0, 0)
-    for frame in stored_frames(video):
-        fire = cv2.subtract(frame[..., 0], frame[..., 2])
+    for frame in frames:
+        fire = cv2.subtract(cv2.subtract(frame[..., 0], frame[..., 2]), FAINT)
         size = (frame.shape[1], frame.shape[0])
         columns.append(_binned(fire.sum(0, dtype=np.float32)))
         rows.append(_binned(fire.sum(1, dtype=np.float32)))
@@ -80,42 +96,51 @@ def find_offset(known: FlameLight, other: FlameLight) -> Offset:
     """Return the lag at which the light of two cameras of one frame rate agrees best, along the axis where it agrees
     better.
 
-    Raises NoFlameClock: fewer than 24 frames, no fire, or no agreement.
+    Raises NoFlameClock: fewer than 24 frames, no fire, or another lag at which they agree nearly as well.
     """
     if min(len(known.along[0]), len(other.along[0])) < MIN_FRAMES:
         raise NoFlameClock(f"fewer than {MIN_FRAMES} frames are too few to compare flames")
     best = max((_best_lag(a, b) for a, b in zip(known.along, other.along, strict=True)), key=lambda o: o.agreement)
-    if not best.agreement >= MIN_AGREEMENT:
+    if not best.rival <= MOST_RIVAL:
         raise NoFlameClock(
-            f"the flames' light does not agree (correlation {best.agreement:.2f}); is fire in both pictures?"
+            f"the flames' light does not agree at one lag more than at others (correlation {best.agreement:.2f}, "
+            f"elsewhere {best.rival:.0%} of it); is the same fire in both pictures?"
         )
     return best
 
 
 def _best_lag(known: np.ndarray, other: np.ndarray) -> Offset:
-    a, b = _changes(known), _changes(other)
-    if not (a.any() and b.any()):
-        return Offset(0.0, 0.0)
-    best = Offset(0.0, -1.0)
-    for scale in SCALES:
-        lags, agreement = _agreement(_stretched(a, scale), b)
-        k = int(agreement.argmax())
-        if agreement[k] > best.agreement:
-            best = Offset(lags[k] + _peak(agreement, k), float(agreement[k]))
-    return best
+    if not (known.std(0).any() and other.std(0).any()):
+        return Offset(0.0, 0.0, 1.0)
+    a, b = _flicker(known), _flicker(other)
+    by_scale = [_agreement(_stretched(a, scale), b) for scale in SCALES]
+    lags, agreement = by_scale[0][0], np.max([found for _, found in by_scale], 0)
+    # Of few frames that overlap, some agree by chance.
+    overlap = np.minimum(len(a), len(b) + lags) - np.maximum(lags, 0)
+    weighed = agreement * np.sqrt(np.clip(overlap / min(len(a), len(b)), 0, 1))
+    k = int(weighed.argmax())
+    low = high = k  # the peak's own hill
+    while low > 0 and weighed[low - 1] < weighed[low]:
+        low -= 1
+    while high < len(weighed) - 1 and weighed[high + 1] < weighed[high]:
+        high += 1
+    rival = max(weighed[:low].max(initial=0.0), weighed[high + 1 :].max(initial=0.0))
+    return Offset(lags[k] + _peak(agreement, k), float(agreement[k]), float(rival / weighed[k]))
 
 
-def _changes(light: np.ndarray) -> np.ndarray:
-    """Return (T, N) how the light differs from its mean over time; the root keeps the base from outweighing the
-    tips."""
-    root = np.sqrt(np.maximum(light, 0.0))
-    return root - root.mean(0)
+def _flicker(light: np.ndarray) -> np.ndarray:
+    """Return (T, N) the light's fast changes: slow ones are taken off."""
+    reach = 4 * int(np.ceil(FLICKER_FRAMES))
+    # Turned about their ends, so that a flame that grows there has no flicker of it.
+    padded = np.pad(light, ((reach, reach), (0, 0)), mode="reflect", reflect_type="odd")
+    fast = light - gaussian_filter1d(padded, FLICKER_FRAMES, axis=0)[reach:-reach]
+    return fast - fast.mean(0)
 
 
 def _stretched(light: np.ndarray, scale: float) -> np.ndarray:
     place = np.arange(int(light.shape[1] / scale)) * scale
     left = np.clip(place.astype(int), 0, light.shape[1] - 2)
-    part = place - left
+    part = np.float32(place - left)
     return light[:, left] * (1 - part) + light[:, left + 1] * part
 
 
@@ -124,10 +149,10 @@ def _agreement(a: np.ndarray, b: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
     By FFT, with the energy of what overlaps.
     """
-    shape = len(a) + len(b), a.shape[1] + b.shape[1]
+    shape = tuple(fft.next_fast_len(int(n), real=True) for n in np.add(a.shape, b.shape))
 
     def correlate(p, q):
-        return np.fft.irfft2(np.fft.rfft2(p, shape) * np.conj(np.fft.rfft2(q, shape)), shape)
+        return fft.irfft2(fft.rfft2(p, shape) * np.conj(fft.rfft2(q, shape)), shape)
 
     energy_a, energy_b = correlate(a * a, np.ones_like(b)), correlate(np.ones_like(a), b * b)
     whole_a, whole_b = (a * a).sum(), (b * b).sum()

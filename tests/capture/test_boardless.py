@@ -67,13 +67,15 @@ def test_a_track_that_agrees_with_none_is_named():
 
 FPS, FRAMES = 60, 120
 WIDTH, HEIGHT = 96, 128
+TONGUES, HEIGHTS = np.random.default_rng(5).uniform(-1, 1, (2, 100))
 
 
 def flame_at(time_s, shift=0):
-    """A flame whose tongues rise and whose height changes without a period, as a picture."""
+    """A flame whose tongues rise and whose height changes, both without a period, as a picture."""
     y, x = np.mgrid[:HEIGHT, :WIDTH]
-    height = 45 + 12 * np.sin(9.1 * time_s) + 9 * np.sin(23.7 * time_s + 1) + 6 * np.sin(41.3 * time_s)
-    tongues = 0.6 + 0.4 * np.sin(0.25 * (y + 160 * time_s)) * np.sin(13.3 * time_s + 0.1 * y)
+    risen = np.interp(y + 160 * time_s, np.arange(0, 8 * len(TONGUES), 8), TONGUES)
+    height = 45 + 22 * np.interp(time_s, np.arange(0, 0.05 * len(HEIGHTS), 0.05), HEIGHTS)
+    tongues = 0.6 + 0.4 * risen * np.sin(13.3 * time_s + 0.1 * y)
     glow = np.exp(-0.5 * ((x - 48 - shift) / 9.0) ** 2) * np.clip((y - (110 - height)) / 14, 0, 1) * (y < 110) * tongues
     return np.uint8(np.clip(np.stack([255 * glow, 160 * glow**2, 40 * glow**3], -1) + 20, 0, 255))
 

@@ -13,7 +13,7 @@ from gof.capture import clock, counter
 from gof.capture.aligned import align, place
 from gof.capture.clock import positions
 from gof.capture.decode import DecodeOptions, decode
-from gof.capture.flame_clock import FlameLight, NoFlameClock, estimate_times, find_offset, read_light
+from gof.capture.flame_clock import FlameLight, NoFlameClock, estimate_times, find_offset, light_of, read_light
 from gof.capture.signals import make_signals, read_signals
 from gof.capture.sync import synchronise
 from gof.capture.synthetic import SyntheticShot, render, write_video
@@ -213,7 +213,26 @@ def light(shift_frames, height=120, scale=1.0, count=80, seed=0) -> FlameLight:
 def test_the_flames_offset_is_found(lag):
     """To less than a frame: what rises looks alike when seen earlier or lower, and the scale differs."""
     found = find_offset(light(0.0), light(lag, scale=1.07))
-    assert found.lag == pytest.approx(lag, abs=0.75) and found.agreement > 0.8
+    assert found.lag == pytest.approx(lag, abs=1.0) and found.agreement > 0.8
+
+
+def test_flames_that_repeat_themselves_tell_no_clock():
+    """Stripes that rise evenly look the same every 8 frames: any of these lags is as good."""
+    stripes = 1 + np.sin(2 * np.pi * (np.arange(80)[:, None] / 8 + np.arange(120) / 10))
+    seen = FlameLight((np.ones((80, 60)), stripes), np.zeros(2), (240, 480))
+    with pytest.raises(NoFlameClock, match="at one lag more than at others"):
+        find_offset(seen, FlameLight((np.ones((80, 60)), stripes[3:]), np.zeros(2), (240, 480)))
+
+
+def test_the_blinking_of_white_lights_is_no_fire():
+    """Compression gives the board's white LEDs some colour."""
+    dark, board, fire = np.zeros((40, 40, 3), np.uint8), (250, 240, 226), (250, 150, 40)
+    pictures = [dark.copy() for _ in range(6)]
+    for k, picture in enumerate(pictures):
+        picture[8:16, 8:16] = fire
+        picture[24:32, 8:16] = board if k % 2 else 0
+    rows = light_of(pictures).along[1]
+    assert rows[:, 2:4].min() > 0 and not np.delete(rows, (2, 3), 1).any()
 
 
 def test_no_flame_no_clock():
@@ -235,8 +254,8 @@ def test_a_hidden_clock_is_estimated_to_a_frame_or_two_and_marked(clips):
     video, times, its_light = known.pop("cam_1")
     found = estimate_times(video, its_light, known)
     error = np.array([f.time_s - t.time_s for f, t in zip(found.frames, times.frames, strict=True)])
-    assert np.abs(error).max() < 5e-3 and found.clock == "flame"
-    assert found.systematic_us >= 2500 and "ESTIMATED" in found.warnings[0]
+    assert np.abs(error).max() < 2.5e-3 and found.clock == "flame"
+    assert found.systematic_us >= 1250 and "ESTIMATED" in found.warnings[0]
 
 
 # ---------------------------------------------------------------- report and aligned videos
