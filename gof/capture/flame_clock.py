@@ -21,7 +21,7 @@ from gof.capture.times import CounterReading, DecodingCost, FrameTime, VideoTime
 from gof.core.errors import GofError
 from gof.footage.videos import stated_fps, stored_frames
 
-FAINT = 32.0  # grey levels of red minus blue that are no fire: compressed white LEDs have 16 and more, and blink fast
+FAINT = 32  # grey levels of red minus blue that are no fire: compressed white LEDs have 16 and more, and blink fast
 BIN_PX = 4  # lines that are summed
 SCALES = np.geomspace(0.8, 1.25, 13)  # of one camera's picture against the other's
 MOST_SHIFT = 0.35  # of the picture's height
@@ -76,7 +76,7 @@ def light_of(frames: Iterable[np.ndarray]) -> FlameLight:
 
     columns, rows, size = [], [], (0, 0)
     for frame in frames:
-        fire = cv2.subtract(cv2.subtract(frame[..., 0], frame[..., 2]), FAINT)
+        fire = np.maximum(cv2.subtract(frame[..., 0], frame[..., 2]), FAINT) - FAINT
         size = (frame.shape[1], frame.shape[0])
         columns.append(_binned(fire.sum(0, dtype=np.float32)))
         rows.append(_binned(fire.sum(1, dtype=np.float32)))
@@ -125,7 +125,8 @@ def _best_lag(known: np.ndarray, other: np.ndarray) -> Offset:
     while high < len(weighed) - 1 and weighed[high + 1] < weighed[high]:
         high += 1
     rival = max(weighed[:low].max(initial=0.0), weighed[high + 1 :].max(initial=0.0))
-    return Offset(lags[k] + _peak(agreement, k), float(agreement[k]), float(rival / weighed[k]))
+    share = float(rival / weighed[k]) if weighed[k] > 0 else 1.0
+    return Offset(lags[k] + _peak(agreement, k), float(agreement[k]), share)
 
 
 def _flicker(light: np.ndarray) -> np.ndarray:

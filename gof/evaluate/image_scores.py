@@ -122,8 +122,9 @@ def image_scores(
         view, frame, after = of
         with timed(costs, "images"):
             row = _picture_score(dataset, view, frame, after, metrics, extras)
-            wanted = extras.flow is not None and after is not None
-            return row, _published(dataset, view, frame, after, extras) if wanted else None
+            if extras.flow is None or after is None:
+                return row, None
+            return row, _published(dataset, view, frame, after, extras)
 
     scored = list(map_beside(score, held_out()))
     rows = [row for row, _ in scored]
@@ -228,8 +229,8 @@ def _picture_score(
         figures["temporal_l2_plate"] = None if change is None else 1.0  # a still picture's, by definition
     if extras.depth is not None:
         seen = _both(_both(frame.alpha > VISIBLE, mask), board)
-        found = rmse_to_map(frame.depth, extras.depth, camera, frame.number, seen)
-        figures["rmse_depth"] = None if found is None else found.rmse
+        depth = rmse_to_map(frame.depth, extras.depth, camera, frame.number, seen)
+        figures["rmse_depth"] = None if depth is None else depth.rmse
     for name, value in figures.items():
         if value is not None and not np.isfinite(value):
             raise NonFiniteError(f"{name} of camera {camera}, frame {frame.number} is {value}")
