@@ -27,9 +27,10 @@ SCALES = np.geomspace(0.8, 1.25, 13)  # of one camera's picture against the othe
 MOST_SHIFT = 0.35  # of the picture's height
 MIN_OVERLAP = 0.5  # of the light's changes, in time and height
 FLICKER_FRAMES = 1.5  # std-dev of the Gaussian whose slower changes are taken off; of 1 to 6, best with 1 to 1.5
-MOST_RIVAL = 0.65  # of the agreement: pairs of one take have up to 0.58, of flames of other takes from 0.70 on
+MOST_RIVAL = 0.65  # of the agreement: pairs of one take have up to 0.5, of flames of other takes from 0.75 on
 ERROR_FRAMES = 0.5  # standard deviation of a pair; notebook/capture.md
 MIN_FRAMES = 24
+MOST_CORRELATION = 1 - 1e-6  # of itself; the measure of more is without end
 
 
 class NoFlameClock(GofError):
@@ -57,7 +58,7 @@ class Offset:
 
     Attributes:
         agreement: correlation of the flicker there.
-        rival: agreement at the best lag of another hill, as a ratio.
+        rival: agreement at the best lag of another hill, as a ratio of Fisher's z.
     """
 
     lag: float
@@ -125,7 +126,9 @@ def _best_lag(known: np.ndarray, other: np.ndarray) -> Offset:
     while high < len(weighed) - 1 and weighed[high + 1] < weighed[high]:
         high += 1
     rival = max(weighed[:low].max(initial=0.0), weighed[high + 1 :].max(initial=0.0))
-    share = float(rival / weighed[k]) if weighed[k] > 0 else 1.0
+    # By Fisher's z, in which correlations differ by what they are worth also near 1.
+    z, z_rival = np.arctanh(np.clip([weighed[k], rival], 0, MOST_CORRELATION))
+    share = float(z_rival / z) if z > 0 else 1.0
     return Offset(lags[k] + _peak(agreement, k), float(agreement[k]), share)
 
 
