@@ -31,7 +31,7 @@ from gof_blender.pure.spec import SceneSpec
 
 AROUND_FRAMES = 2  # that the views from all around have
 # Seconds on the machine of `gof.core.time_left` of the demo's last stages, and of what comes before a reconstruction.
-SECONDS = {"evaluate": 10.0, "import": 16.0, "report": 10.0, "share": 4.0}
+SECONDS = {"evaluate": 10.0, "import": 8.0, "report": 10.0, "share": 3.2}
 START_S = 4.0
 WINDOW = 0.92  # of the demo's picture, that its flame needs
 
