@@ -15,7 +15,7 @@ from subprocess import PIPE
 
 import numpy as np
 
-from gof.capture.flame_clock import ERROR_FRAMES, FlameLight, NoFlameClock, find_offset, read_light
+from gof.capture.flame_clock import FlameLight, NoFlameClock, find_offset, read_light
 from gof.capture.sound_clock import NoSoundClock, SoundLag, find_lag
 from gof.capture.sync import nearest_frames
 from gof.capture.times import Clock, CounterReading, DecodingCost, FrameTime, FrameTimesFile, SyncedVideo, VideoTimes
@@ -162,7 +162,7 @@ def by_light(names: list[str], own: list[np.ndarray], lights: list[FlameLight]) 
     steps = [float(np.median(np.diff(times))) for times in own]
     step = min(steps)
     even = [_evenly(light, times, step) for light, times in zip(lights, own, strict=True)]
-    rows, values, weights, reasons = [], [], [], []
+    rows, values, weights, errors, reasons = [], [], [], [], []
     for one, other in combinations(range(len(own)), 2):
         try:
             offset = find_offset(even[one], even[other])
@@ -174,13 +174,14 @@ def by_light(names: list[str], own: list[np.ndarray], lights: list[FlameLight]) 
         rows.append(row)
         values.append(own[one][0] + offset.lag * step - own[other][0])
         weights.append(offset.agreement**2)
+        errors.append(offset.error_frames**2)
     matrix = np.array(rows).reshape(-1, len(own))[:, 1:]
     if len(rows) < len(own) - 1 or np.linalg.matrix_rank(matrix) < len(own) - 1:
         raise NoFlameClock("; ".join(reasons))
     root = np.sqrt(weights)
     solved = np.linalg.lstsq(matrix * root[:, None], np.array(values) * root, rcond=None)[0]
     open_s = float(np.abs(matrix @ solved - values).max())
-    sigma = float(np.hypot(ERROR_FRAMES * max(steps), open_s))
+    sigma = float(np.hypot(np.sqrt(np.average(errors, weights=weights)) * max(steps), open_s))
     said = (
         f"its times are ESTIMATED from the flame's light against the other films' (they close to "
         f"{1000 * open_s:.1f} ms): +-{1000 * sigma:.1f} ms, about {sigma / max(steps):.1f} frames"

@@ -28,7 +28,8 @@ MOST_SHIFT = 0.35  # of the picture's height
 MIN_OVERLAP = 0.5  # of the light's changes, in time and height
 FLICKER_FRAMES = 1.5  # std-dev of the Gaussian whose slower changes are taken off; of 1 to 6, best with 1 to 1.5
 MOST_RIVAL = 0.65  # of the agreement: pairs of one take have up to 0.5, of flames of other takes from 0.75 on
-ERROR_FRAMES = 0.5  # standard deviation of a pair; notebook/capture.md
+# Standard deviation of a lag, frames: by noise, as its agreement tells, and what none tells; notebook/capture.md
+BY_NOISE, UNTOLD = 0.2, 0.25
 MIN_FRAMES = 24
 MOST_CORRELATION = 1 - 1e-6  # of itself; the measure of more is without end
 
@@ -64,6 +65,12 @@ class Offset:
     lag: float
     agreement: float
     rival: float
+
+    @property
+    def error_frames(self) -> float:
+        """Standard deviation of the lag: noise moves a peak by its ratio to the signal."""
+        told = min(max(self.agreement, 1e-3), 1.0)
+        return float(np.hypot(UNTOLD, BY_NOISE * np.sqrt(1 - told**2) / told))
 
 
 def read_light(video: Path) -> FlameLight:
@@ -182,7 +189,7 @@ def _peak(values: np.ndarray, k: int) -> float:
 def estimate_times(video: Path, light: FlameLight, known: dict[str, tuple[Path, VideoTimes, FlameLight]]) -> VideoTimes:
     """Return times of a camera without the board, from all cameras that have it.
 
-    Every camera votes, weighted by agreement; their spread, and at least the error on the published clips, is the
+    Every camera votes, weighted by agreement; their spread, and at least what their agreement says of one, is the
     uncertainty. The camera is taken to have the others' frame interval, row time and readout, and no gaps: nothing
     shows them.
 
@@ -200,15 +207,16 @@ def estimate_times(video: Path, light: FlameLight, known: dict[str, tuple[Path, 
     if not usable:
         raise reason
     interval = float(np.median([times.frame_interval_us for times, _, _ in usable.values()]))
-    starts, weights = [], []
+    starts, weights, errors = [], [], []
     for times, offset, its_light in usable.values():
         # The flame is seen where it stands: its lines are read earlier or later than the picture's middle.
         delay = _delay(times, its_light.middle) - _delay(times, light.middle)
         starts.append(1e6 * times.frames[0].time_s + offset.lag * times.frame_interval_us + delay)
         weights.append(offset.agreement**2)
+        errors.append(offset.error_frames**2)
     start = float(np.average(starts, weights=weights))
     spread = float(np.sqrt(np.average((np.array(starts) - start) ** 2, weights=weights)))
-    sigma = float(np.hypot(ERROR_FRAMES * interval, spread))
+    sigma = float(np.hypot(np.sqrt(np.average(errors, weights=weights)) * interval, spread))
     best = max(usable.values(), key=lambda u: u[1].agreement)
     seen = " and ".join(f"{name} (correlation {offset.agreement:.2f})" for name, (_, offset, _) in usable.items())
     text = (

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from gof.capture.boardless import RATE, by_light, by_sound, synchronise_without_board
-from gof.capture.flame_clock import read_light
+from gof.capture.flame_clock import Offset, read_light
 from gof.capture.sound_clock import NoSoundClock, find_lag
 from gof.capture.times import FrameTimesFile
 from gof.commands import cli
@@ -173,3 +173,9 @@ def test_lights_of_two_rates_close(tmp_path):
     own = [np.arange(FRAMES) / FPS, np.arange(FRAMES // 2) / 30]
     fits = by_light(["a", "b"], own, [read_light(video) for video in videos])
     assert fits[1].offset_s == pytest.approx(0.1, abs=1 / 60)
+
+
+def test_flames_that_agree_less_are_told_apart_less_surely():
+    sure, unsure, none = (Offset(0.0, agreement, 0.1).error_frames for agreement in (1.0, 0.2, 0.0))
+    assert sure == pytest.approx(0.25), "the shutter's way over the picture is not seen"
+    assert unsure == pytest.approx(np.hypot(0.25, 0.2 * np.sqrt(0.96) / 0.2)) and np.isfinite(none) and none > 100
