@@ -27,7 +27,7 @@ SCALES = np.geomspace(0.8, 1.25, 13)  # of one camera's picture against the othe
 MOST_SHIFT = 0.35  # of the picture's height
 MIN_OVERLAP = 0.5  # of the light's changes, in time and height
 FLICKER_FRAMES = 1.5  # std-dev of the Gaussian whose slower changes are taken off; of 1 to 6, best with 1 to 1.5
-MOST_RIVAL = 0.65  # of the agreement: pairs of one take have up to 0.5, of flames of other takes from 0.75 on
+MOST_RIVAL = 0.65  # of the agreement: pairs of one take have up to 0.52, of flames of other takes from 0.75 on
 # Standard deviation of a lag, frames: by noise, as its agreement tells, and what none tells; notebook/capture.md
 BY_NOISE, UNTOLD = 0.2, 0.25
 MIN_FRAMES = 24
