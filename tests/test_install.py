@@ -33,11 +33,15 @@ IMPORTS |= {"flip_evaluator": "flip-evaluator"}
 
 @pytest.mark.skipif(os.name != "posix", reason="counts the seconds of a child")
 @pytest.mark.parametrize("code", ["import gof", "from gof.commands.cli import main; main(['--help'])"])
-def test_starting_takes_no_fifth_of_a_second(code):
-    """Seconds of the CPU, the least of five: other programs run here too."""
-    ask = f"import resource\n{code}\nprint(sum(resource.getrusage(resource.RUSAGE_SELF)[:2]))"
-    runs = [subprocess.run([sys.executable, "-c", ask], capture_output=True, text=True, check=True) for _ in range(5)]
-    assert min(float(run.stdout.splitlines()[-1]) for run in runs) < 0.2
+def test_starting_takes_little_beside_python_itself(code):
+    """In the CPU seconds of a bare Python, the least of five in turn: a second is not as long on every machine."""
+    ask = "import resource\n{}\nprint(sum(resource.getrusage(resource.RUSAGE_SELF)[:2]))"
+    seconds = {"pass": [], code: []}
+    for _ in range(5):
+        for what, taken in seconds.items():
+            run = subprocess.run([sys.executable, "-c", ask.format(what)], capture_output=True, text=True, check=True)
+            taken.append(float(run.stdout.splitlines()[-1]))
+    assert min(seconds[code]) < 7 * min(seconds["pass"])
 
 
 def test_an_absent_library_is_named_with_its_extra():
