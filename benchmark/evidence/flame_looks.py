@@ -16,6 +16,7 @@ import tyro
 
 from gof.core.colour import srgb_to_linear
 from gof.core.errors import DataFormatError
+from gof.footage.flame_mask import flame_mask
 from gof.footage.videos import stored_frames
 from gof.look.charts import line_chart
 from gof_benchmark.fires import measures
@@ -23,7 +24,7 @@ from gof_blender.pure import spec as scene_spec
 
 EVERY = 4  # frame whose colours and texture are taken
 BINS = 8  # of the histogram, a colour
-RISE = 40  # of red above the darkest that it ever is, 8 bits, from which a filmed pixel is flame
+ALWAYS = 0.7  # red of what burns in every frame, display value; so much that half of it is missing in blue
 HEIGHT_PX = 128  # that every flame is scaled to
 CYCLES = np.arange(4, 33)  # per flame height
 FLICKER_HZ = np.arange(10.0, 41.0, 2.5)
@@ -105,12 +106,14 @@ def _flicker(pictures: list[np.ndarray], masks: list[np.ndarray], rate_hz: float
 
 
 def of_clip(folder: Path, rate_hz: float) -> Looks:
-    """Return those of a folder with a video a camera."""
+    """Return those of a folder with a video a camera; LEDs of a board are white, hence no flame."""
     views = []
     for video in sorted(folder.glob("*.mp4")):
         pictures = [np.asarray(frame) for frame in stored_frames(video)]
-        darkest = np.min(pictures, axis=0).astype(int)
-        masks = [(p[..., 0] - darkest[..., 0] > RISE) & (p[..., 0] > p[..., 2]) for p in pictures]
+        darkest = np.min(pictures, axis=0) / 255
+        always = (darkest[..., 0] > ALWAYS) & (darkest[..., 0] - darkest[..., 2] > ALWAYS / 2)
+        darkest[always] = 0
+        masks = [flame_mask(picture / 255, darkest, grow_px=1) for picture in pictures]
         views.append((pictures, masks))
     return looks(f"{folder.parent.name}/{folder.name}", views, rate_hz)
 

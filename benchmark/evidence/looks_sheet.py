@@ -31,7 +31,7 @@ ROWS: dict[str, Callable[[SceneSpec], SceneSpec]] = {
     "soot_noise": lambda spec: with_noise(with_light(spec, "soot", "physical")),
     "sheets_noise": lambda spec: with_noise(with_light(spec, "sheets", "physical")),
 }
-"""Version 1 of the spec, the defaults of version 2, and its other light; both of these with the effect `fine_noise`."""
+"""Versions 1, 2 and 3 of the spec by default; the last two also with the effect `fine_noise`."""
 
 
 @dataclass(frozen=True)

@@ -85,8 +85,9 @@ class SuiteScene:
 
     @property
     def digest(self) -> str:
-        """SHA-256 of the spec: another one is another scene."""
-        return hashlib.sha256(json.dumps(self.spec.to_dict(), sort_keys=True).encode()).hexdigest()
+        """SHA-256 of the spec's fields, whatever version writes them: other ones are another scene."""
+        fields = {name: value for name, value in self.spec.to_dict().items() if name != "version"}
+        return hashlib.sha256(json.dumps(fields, sort_keys=True).encode()).hexdigest()
 
     @property
     def solver(self) -> str:

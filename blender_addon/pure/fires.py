@@ -148,9 +148,9 @@ class Fire:
     """Radius of the emitter, metres."""
     jet_speed: float = 0.0
     """Upward speed at which the fuel leaves the burner, m/s."""
-    light: Literal["soot", "sheets", "reaction"] = "soot"
-    """soot: soot glows and absorbs wherever gas burns, well exposed at every size (`pure.soot`); sheets: soot in thin
-    sheets; reaction: every metre emits equally and nothing is absorbed, as in specs of version 1."""
+    light: Literal["soot", "sheets", "reaction"] = "sheets"
+    """sheets: soot glows and absorbs in thin sheets, well exposed at every size (`pure.soot`); soot: wherever gas
+    burns, as in specs of version 2; reaction: every metre emits equally and nothing is absorbed, as in version 1."""
     speeds: Literal["physical", "solver"] = "physical"
     """physical: lift and burning follow the fire's size, so that gas is as fast as in real fires (`pure.similarity`);
     solver: one set of constants at every size, as in specs of version 1, which is much too fast below a metre."""

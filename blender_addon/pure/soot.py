@@ -25,8 +25,10 @@ Sources of the figures:
 - A small laminar flame holds its soot in a thin sheet of several ppm (Santoro et al., Combustion and Flame 51, 1983),
   which a mean over a large turbulent flame is not: its optical thickness is taken as at least `LEAST_THICKNESS`. In
   large ones soot lies in folds, between which one sees deeper than through the mean: at most `MOST_THICKNESS`. Both are
-  our choice, and so are the place, width and density of the thin sheets: those with which the demo's and a campfire's
-  pictures are as bright as before, and their texture nearest to the filmed fires' (`docs/how_real.md`).
+  our choice.
+- Thin sheets: their place, width, density, coolest soot and exposure are those of 17 tried whose colours and texture,
+  on seven fires, were nearest to eight filmed ones (`gof_benchmark.evidence.flame_looks`; notebook/how_real.md). One
+  sees through a single sheet, which is orange; where folds lie behind each other it is nearly white.
 - Soot of 1400 to 1950 K, and its distribution over ``flame``: chosen by eye and by the colours of the paper's filmed
   fires (`gof_benchmark.evidence.flame_looks`).
 """
@@ -51,8 +53,13 @@ REFERENCE_K = 1900.0
 REFERENCE_RADIANCE = 14.0
 """Linear scene radiance of red of a black body of REFERENCE_K: Filmic shows it nearly white. In truth a flame is
 thousands of times brighter than a room, which no picture shows."""
-SHEET_AT, SHEET_WITHIN, SHEET_DENSITY = 0.32, (0.22, 0.44), 4.0
-"""Thin sheets: the reaction where most soot is, between which values there is any, and how much denser it is."""
+SHEET_AT, SHEET_WITHIN = 0.32, (0.22, 0.44)
+"""Thin sheets: the reaction where most soot is, and between which values there is any. It cools from the inner side of
+the sheet, where the fuel is, to the outer."""
+SHEET_EXPOSURE = 7.0
+"""How much longer a flame of thin sheets is exposed: there is less soot in it."""
+SHEET_COOLEST = 0.6
+"""Temperature of a sheet's outer side over that of its inner."""
 COOLEST = 0.72
 """Temperature of the last soot, at the tips and edges, over that of the hottest: it cools by its own radiation."""
 BLUE = (0.10, 0.32, 1.0)
@@ -108,15 +115,15 @@ def sheet(fuel: Fuel, diameter_m: float, intensity: float = 1.0, thin: bool = Fa
     flame = np.linspace(0, 1, STOPS)
     if thin:
         low, high = SHEET_WITHIN
-        share = SHEET_DENSITY * smoothstep(flame, low, SHEET_AT) * (1 - smoothstep(flame, SHEET_AT, high))
+        share = smoothstep(flame, low, SHEET_AT) * (1 - smoothstep(flame, SHEET_AT, high))
     else:
         share = smoothstep(flame, 0.05, 0.45) * (1 - 0.7 * smoothstep(flame, 0.55, 0.95))
-    warms = (0.05, 0.5) if thin else (0.0, 0.65)
-    cold = COOLEST + (1 - COOLEST) * smoothstep(flame, *warms) - 0.05 * smoothstep(flame, 0.8, 1.0)
+    coolest, warms, exposure = (SHEET_COOLEST, SHEET_WITHIN, SHEET_EXPOSURE) if thin else (COOLEST, (0.0, 0.65), 1.0)
+    cold = coolest + (1 - coolest) * smoothstep(flame, *warms) - 0.05 * smoothstep(flame, 0.8, 1.0)
     thickness = np.clip(VISIBLE_OVER_TOTAL * fuel.absorption_per_m * diameter_m, LEAST_THICKNESS, MOST_THICKNESS)
     absorption = share * fuel.sooty * float(thickness) / diameter_m
     by_colour = WAVELENGTHS_UM[0] / np.array(WAVELENGTHS_UM)  # soot absorbs as 1 / wavelength
-    emission = absorption[:, None] * by_colour * black_body(fuel.soot_k * cold)
+    emission = exposure * absorption[:, None] * by_colour * black_body(fuel.soot_k * cold)
     thin = smoothstep(flame, 0.02, 0.25) * (1 - smoothstep(flame, 0.35, 0.8))
     blue = thin[:, None] * np.array(BLUE) * fuel.blue / diameter_m
     return Sheet(intensity * emission, absorption, intensity * blue, fuel.onset * diameter_m)

@@ -28,9 +28,9 @@ from .timeline import Timeline
 from .timing import Clip
 
 SCHEMA = "gof-scene"
-VERSION = 2
-# Fields that came after version 2. A spec that leaves one at its default is written without it, so that specs of
-# before stay as they were, to the byte.
+VERSION = 3
+# Fields that came later. A spec that leaves one at its default is written without it, so that specs of before stay as
+# they were.
 LATER_FIELDS = (("fire", "logs", Fire.logs), ("cameras", "around_frames", Rig.around_frames))
 MOST_PICTURES = 100_000
 BACKGROUND = "background.blend"  # of a dataset: the surroundings that a spec's .blend gave it
@@ -262,11 +262,10 @@ class SceneSpec:
             raise SpecError(f"a scene spec is a JSON object, got {type(data).__name__}")
         data = dict(data)
         schema, version = data.pop("schema", None), data.pop("version", None)
-        if schema != SCHEMA or version not in (1, VERSION):
+        if schema != SCHEMA or version not in (*FORMER_FIRES, VERSION):
             found = f"{str(schema)[:40]!r}, version {str(version)[:40]}"
             raise SpecError(f'expected "schema": "{SCHEMA}", "version": {VERSION}, got {found}')
-        if version == 1:
-            data = from_version_1(data)
+        data = from_version(version, data)
         effects = data.pop("effects", [])
         require(isinstance(effects, list), "effects", "a list", effects)
         data["effects"] = tuple(_effect_from_dict(item) for item in effects)
@@ -326,16 +325,17 @@ def _effect_from_dict(item: Any) -> Any:
 # ----------------------------------------------------------------
 # Scene specs of older versions in the words of today.
 
-VERSION_1_FIRE = {"light": "reaction", "speeds": "solver"}
+FORMER_FIRES = {1: {"light": "reaction", "speeds": "solver"}, 2: {"light": "soot"}}
+"""Defaults of a fire that were others in these versions."""
 
 
-def from_version_1(data: dict) -> dict:
-    """Return a spec of version 1 in the words of today: its defaults were those of our first fires."""
+def from_version(version: int, data: dict) -> dict:
+    """Return a spec of any version in the words of today: what it leaves out is as it was then."""
     fire = data.get("fire", {})
     if isinstance(fire, dict) and "grids" not in fire:
-        data = data | {"fire": VERSION_1_FIRE | fire}
+        data = data | {"fire": FORMER_FIRES.get(version, {}) | fire}
     listed = data.get("effects", [])
-    if isinstance(listed, list):
+    if version == 1 and isinstance(listed, list):
         data = data | {"effects": [_effect_from_version_1(item) for item in listed]}
     return data
 

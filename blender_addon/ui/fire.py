@@ -138,9 +138,10 @@ class GOF_PG_fire(bpy.types.PropertyGroup):
     light: EnumProperty(
         name="Light",
         description="How the flame's light follows from the simulation",
+        default="sheets",
         items=[
-            ("soot", "Soot", "Glows and absorbs by its soot: well exposed at every size"),
-            ("sheets", "Soot in Sheets", "Soot in thin sheets: folds and sharp edges instead of a soft glow"),
+            ("soot", "Soot", "All that burns glows and absorbs by its soot: a soft glow"),
+            ("sheets", "Soot in Sheets", "Soot in thin sheets: folds and sharp edges, as real flames have"),
             (
                 "reaction",
                 "Reaction",

@@ -45,7 +45,15 @@ def test_json_round_trip(tmp_path):
 
 
 def test_left_out_fields_take_their_defaults():
-    assert SceneSpec.from_dict({"schema": "gof-scene", "version": 2, "name": "x"}) == SceneSpec("x")
+    assert SceneSpec.from_dict({"schema": "gof-scene", "version": 3, "name": "x"}) == SceneSpec("x")
+
+
+def test_a_spec_of_version_2_shines_as_it_did():
+    for fire, light in (({}, "soot"), ({"light": "sheets"}, "sheets"), ({"speeds": "solver"}, "soot")):
+        old = SceneSpec.from_dict({"schema": "gof-scene", "version": 2, "name": "x", "fire": fire})
+        assert old.fire.light == light and old.fire.speeds == fire.get("speeds", "physical")
+        assert SceneSpec.from_dict(old.to_dict()) == old, "kept when it is written as version 3"
+    assert SceneSpec("x").fire.light == "sheets"
 
 
 def test_a_spec_of_version_1_is_the_fire_that_it_was():
@@ -56,7 +64,7 @@ def test_a_spec_of_version_1_is_the_fire_that_it_was():
         constants = old.solver
         assert (constants.gravity, constants.confinement, constants.drift) == (1.0, 1.0, 1.0)
         assert (constants.burning_rate, constants.amount) == (old.fuel.burning_rate, old.fuel.amount)
-        assert SceneSpec.from_dict(old.to_dict()) == old, "kept when it is written as version 2"
+        assert SceneSpec.from_dict(old.to_dict()) == old, "kept when it is written as version 3"
     windy = {"schema": "gof-scene", "version": 1, "name": "x", "effects": [{"name": "wind"}]}
     assert SceneSpec.from_dict(windy).effects == (wind.Settings(0.3, unit="field"),)
     grids = {"schema": "gof-scene", "version": 1, "name": "x", "fire": {"grids": "somewhere"}}
@@ -92,7 +100,7 @@ def test_effects_ask_for_steps_between_frames_and_for_what_the_shutter_sees():
         (("clip", "frames"), 2.5, "clip.frames must be a whole number"),
         (("clip", "frames"), True, "clip.frames must be a whole number"),
         (("clip", "fps"), float("nan"), "'clip.fps' is NaN"),
-        (("schema",), "x" * 10**6, "expected .schema.: .gof-scene., .version.: 2, got 'xxx"),
+        (("schema",), "x" * 10**6, "expected .schema.: .gof-scene., .version.: 3, got 'xxx"),
         (("clip", "fps"), "x" * 10**6, "clip.fps must be a finite number, got 'xxx"),
         (("clip", "fps"), "fast", "clip.fps must be a finite number"),
         (("clip", "fsp"), 25, "clip.fsp is not a field"),
@@ -119,7 +127,7 @@ def test_effects_ask_for_steps_between_frames_and_for_what_the_shutter_sees():
         (("effects",), [{"name": "wind"}, {"name": "wind"}], "effects must be listed once each"),
         (("effects",), ["wind"], "effects must be objects"),
         (("name",), "../up", "name must be a plain file name"),
-        (("version",), 3, "version 3"),
+        (("version",), 4, "version 4"),
         (("clip",), 3, "clip must be an object"),
     ],
 )

@@ -258,7 +258,7 @@ def test_a_number_beyond_floats_is_refused_by_commands(tmp_path, capsys, digits)
 
     number = "1" + "0" * digits
     (tmp_path / "poses.json").write_text('{"cam_0": [[' + number + "]]}")
-    (tmp_path / "spec.json").write_text('{"schema": "gof-scene", "version": 2, "name": "a", "fps": ' + number + "}")
+    (tmp_path / "spec.json").write_text('{"schema": "gof-scene", "version": 3, "name": "a", "fps": ' + number + "}")
     (tmp_path / "transforms.json").write_text('{"w": ' + number + ', "frames": []}')
     assert main(["generate", str(tmp_path / "spec.json"), "--out", str(tmp_path / "out")]) == 1
     said = " ".join(capsys.readouterr().err.split())
@@ -282,7 +282,7 @@ def test_a_number_beyond_floats_in_a_spec_of_a_script():
     from gof_blender.pure.spec import SceneSpec, SpecError
 
     with pytest.raises(SpecError, match="frames|fps|number") as refusal:
-        SceneSpec.from_dict({"schema": "gof-scene", "version": 2, "name": "a", "fps": 10**5000})
+        SceneSpec.from_dict({"schema": "gof-scene", "version": 3, "name": "a", "fps": 10**5000})
     assert len(str(refusal.value)) < 200
 
 
