@@ -133,3 +133,16 @@ def tiny_dataset(tmp_path) -> Path:
         masks=rng.random((4, 2, 64, 36)) > 0.5,
         test_frames=[2],
     )
+
+
+@pytest.fixture(params=["drjit", "native"])
+def kernels(request, monkeypatch) -> str:
+    """Draw with both sets of kernels, in turns; skips where one cannot run."""
+    if request.param == "native":
+        pytest.importorskip("numba")
+        from gof.render.backend import BACKEND
+
+        if BACKEND == "cuda":
+            pytest.skip("native kernels are for CPUs")
+    monkeypatch.setenv("GOF_RENDER_KERNELS", request.param)
+    return request.param

@@ -24,7 +24,7 @@ from gof_blender.pure.spec import SceneSpec
 from tests.conftest import arc, random_gaussians
 from tests.reliability import damage, fuzz, kill
 from tests.reliability.format import finite
-from tests.reliability.formats import formats
+from tests.reliability.fuzz import formats
 
 NEED_BLENDER_OR_TORCH = ("pictures .exr", "checkpoint .pth", "4DGS of Yang, cfg_args")
 

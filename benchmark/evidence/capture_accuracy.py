@@ -2,7 +2,7 @@
 
     python -m gof_benchmark.evidence.capture_accuracy [--captures FOLDER] [--parts synthetic real cost] [--json FILE]
 
-synthetic: rendered footage (exact rolling shutter and exposure, gof/capture/synthetic.py) whose times are known.
+synthetic: rendered footage (exact rolling shutter and exposure, tests/capture/synthetic.py) whose times are known.
 real: public clips of the paper's rig, FOLDER/capture_05/scene_0006/cam_0.mp4 ...; without them it says so and goes on.
 cost: what each option of the decoder, and the clip's length, cost and buy.
 """
@@ -21,7 +21,6 @@ import tyro
 from gof.capture.board_points import points_on
 from gof.capture.decode import DecodeOptions
 from gof.capture.sync import synchronise
-from gof.capture.synthetic import SyntheticShot
 from gof.capture.template import BoardTemplate
 from gof.capture.times import VideoTimes
 from gof.core.errors import GofError
@@ -29,6 +28,7 @@ from gof.core.files import write_json
 from gof.look.charts import frame_times_chart
 from tests.capture.marked_views import MARKED
 from tests.capture.rendered_clips import measure
+from tests.capture.synthetic import SyntheticShot
 
 SHOWN = ("frame_interval_us", "rms_us", "max_residual_us", "outliers", "row_time_us", "readout", "faults")
 GOAL_US, GOAL_COMPRESSED_US, GOAL_REAL_US = 5.0, 15.0, 9.0

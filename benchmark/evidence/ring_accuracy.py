@@ -2,7 +2,7 @@
 
     python -m gof_benchmark.evidence.ring_accuracy [--frames 60] [--only TEXT] [--json FILE]
 
-The pictures have exact rolling shutter and exposure (gof/capture/synthetic.py, which shares only the board's
+The pictures have exact rolling shutter and exposure (tests/capture/synthetic.py, which shares only the board's
 template with the reader) and are read from files, as `gof capture sync --board rocsync` reads a camera's.
 """
 
@@ -19,22 +19,10 @@ from gof.capture.decode import DecodeOptions
 from gof.capture.ring_board import RingBoard
 from gof.capture.ring_decode import decode_ring
 from gof.capture.ring_signals import read_ring_signals
-from gof.capture.synthetic import RingShot, SyntheticShot, render_ring
 from gof.core.files import write_json
 from gof.footage.pictures import write_picture
+from tests.capture.synthetic import USUAL, RingShot, render_ring
 
-USUAL = SyntheticShot(
-    width=300,
-    height=260,
-    marker_px=60,
-    row_time=20.0,
-    readout="down",
-    exposure=8000.0,
-    fps=29.97,
-    centre=(0.5, 0.5),
-    roll_deg=0.0,
-    gain=4.0,
-)
 LARGE = replace(USUAL, width=960, height=720, marker_px=90, gain=1.2, yaw_deg=35, roll_deg=12, blur_px=2, noise=6)
 CASES = {
     "as it comes": RingShot(USUAL),

@@ -2,19 +2,37 @@
 
 from __future__ import annotations
 
-import bpy
+import math
+from dataclasses import dataclass
 
-from ..pure import playback
+import bpy
+import numpy as np
+
 from ..pure.io.cloud import GaussianCloud
 from . import point_cloud
 
 CLIP = "gof_clip_s"  # custom property of a cloud: first and last second of its clip
 NEW = (1, 250, 24, 1.0)  # first and last frame, rate and its divisor of Blender's own new file
+RATES = (24, 25, 30, 50, 60, 100, 120, 200, 240, 400, 500, 1000)
+WATCHABLE = 30  # frames; a clip of fewer is a flicker
+LAST_FRAME = 1_048_574  # Blender counts no further
+EDGE = 1.0  # percent of the Gaussians before the clip, and behind it: runaways
+
+
+@dataclass(frozen=True)
+class Span:
+    """Frames of a scene, the first and the last of a clip."""
+
+    first: int
+    last: int
+
+    def __len__(self) -> int:
+        return self.last - self.first + 1
 
 
 def keep(thing: bpy.types.Object, cloud: GaussianCloud) -> None:
     """Note on the cloud's object when it was filmed; nothing for a still."""
-    if clip_s := playback.seconds(cloud):
+    if clip_s := _seconds(cloud):
         thing[CLIP] = clip_s
 
 
@@ -43,7 +61,7 @@ def fit(scene: bpy.types.Scene, thing: bpy.types.Object) -> None:
     settings, render = point_cloud.inputs(thing), scene.render
     speed = settings["Time Scale"] or 1.0
     before = render.fps / render.fps_base
-    rate = playback.rate(thing[CLIP], before, speed)
+    rate = _watchable_rate(thing[CLIP], before, speed)
     if rate != before:
         render.fps, render.fps_base = round(rate), 1.0
     frames = span(scene, thing)
@@ -56,7 +74,40 @@ def fit(scene: bpy.types.Scene, thing: bpy.types.Object) -> None:
         scene.frame_set(min(max(scene.frame_current, frames.first), frames.last))
 
 
-def span(scene: bpy.types.Scene, thing: bpy.types.Object) -> playback.Span | None:
+def span(scene: bpy.types.Scene, thing: bpy.types.Object) -> Span | None:
     settings = point_cloud.inputs(thing)
     rate = scene.render.fps / scene.render.fps_base
-    return playback.span(thing[CLIP], settings["Start Frame"], rate, settings["Time Scale"])
+    return _frames(thing[CLIP], settings["Start Frame"], rate, settings["Time Scale"])
+
+
+def _seconds(cloud: GaussianCloud) -> tuple[float, float] | None:
+    """Return first and last second of what was filmed, on the recording's clock; None for a still.
+
+    A file does not say it: it is when the Gaussians are brightest, or of a sequence of files when they are shown.
+    """
+    if cloud.begin is not None:
+        return float(cloud.begin.min()), float(cloud.end.max())
+    fading = cloud.dynamic & np.isfinite(cloud.t_sigma)
+    if not fading.any():
+        return None
+    first, last = np.percentile(cloud.t_mu[fading].astype(np.float64), [EDGE, 100 - EDGE])
+    return (float(first), float(last)) if last > first else None
+
+
+def _frames(clip_s: tuple[float, float], start_frame: float, fps: float, time_scale: float) -> Span | None:
+    """Return the scene's frames of a clip; None where time stands still, or Blender does not count so far."""
+    if time_scale == 0:
+        return None
+    ends = [start_frame + second * fps / time_scale for second in clip_s]
+    if not all(math.isfinite(end) and abs(end) < LAST_FRAME for end in ends):
+        return None
+    return Span(round(min(ends)), round(max(ends)))
+
+
+def _watchable_rate(clip_s: tuple[float, float], fps: float, time_scale: float) -> float:
+    """Return frames per second at which a clip can be watched: the scene's own, or the lowest usual one of enough
+    frames."""
+    length_s = (clip_s[1] - clip_s[0]) / abs(time_scale)
+    if length_s * fps >= WATCHABLE:
+        return fps
+    return next((usual for usual in RATES if usual > fps and length_s * usual >= WATCHABLE), max(fps, RATES[-1]))

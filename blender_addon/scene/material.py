@@ -203,7 +203,7 @@ def _bands(add, colours: Sequence[Colour], low: float, high: float):
     return ramp
 
 
-def blotches(name: str, colours: Sequence[Colour], scale: float, roughness: float = 0.7) -> bpy.types.Material:
+def blotches(name: str, colours: Sequence[Colour], scale: float) -> bpy.types.Material:
     """Sharp-edged coloured cells of about 1/scale metres, like a print, a terrazzo floor or peeling paint."""
     material, add, link, output = _new(name)
     coordinates = add("ShaderNodeTexCoord")
@@ -211,7 +211,7 @@ def blotches(name: str, colours: Sequence[Colour], scale: float, roughness: floa
     cells.inputs["Scale"].default_value = scale
     pick = add("ShaderNodeSeparateColor")
     ramp = _bands(add, colours, 0.0, 1.0)
-    surface = _principled(add, link, output, roughness)
+    surface = _principled(add, link, output, 0.7)
     link(coordinates.outputs["UV"], cells.inputs["Vector"])
     link(cells.outputs["Color"], pick.inputs["Color"])
     link(pick.outputs["Red"], ramp.inputs["Fac"])

@@ -81,15 +81,9 @@ def lathe(
     return add(name, vertices, faces, collection, uvs, **place)
 
 
-def ellipsoid(
-    name: str,
-    half_size: Sequence[float],
-    collection: bpy.types.Collection,
-    rings: int = 12,
-    segments: int = 24,
-    **place,
-) -> bpy.types.Object:
+def ellipsoid(name: str, half_size: Sequence[float], collection: bpy.types.Collection, **place) -> bpy.types.Object:
     """Return a closed ellipsoid (poles are single vertices, as a fluid emitter needs a watertight mesh)."""
+    rings, segments = 12, 24
     vertices = [(0.0, 0.0, -half_size[2])]
     for ring in range(1, rings):
         polar = math.pi * ring / rings

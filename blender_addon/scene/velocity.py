@@ -34,7 +34,6 @@ def export_velocity(
     time_scale: float,
     out_path: str | Path,
     progress: Callable[[int, int], None] = lambda done, total: None,
-    dtype: str = "float16",
 ) -> dict:
     """Write the velocity of baked frames as a zarr v3 store; frames of an interrupted export are not written again.
 
@@ -45,9 +44,9 @@ def export_velocity(
         time_scale: the domain's time scale during the bake.
         out_path: the new folder, by custom `velocity.zarr`; a finished one with the same content is left alone.
         progress: called with (frames done, frames in all) after each frame.
-        dtype: "float16" (error in the returned `storage_max_abs_error`, m/s) or "float32".
     Returns:
-        The attributes of the store (schema `gof-velocity` 1: units, index_to_world, voxel_size, time_s ...).
+        The attributes of the store (schema `gof-velocity` 1: units, index_to_world, voxel_size, time_s ...), whose
+        values are float16; `storage_max_abs_error` is their error, m/s.
     Raises:
         ValueError: no gas domain, adaptive domain, other time scale, frame outside the bake, moving domain, a cache
             that was clipped to the smoke, or NaN in the cache.
@@ -64,7 +63,7 @@ def export_velocity(
         matrix,
         (np.array(frames) - frames[0]) / fps,
         float(np.cbrt(abs(np.linalg.det(linear)))),
-        dtype,
+        "float16",
     )
     for index, frame in enumerate(frames):
         if not store.has_frame(index):

@@ -18,7 +18,7 @@ import numpy as np
 from gof.capture.flame_clock import FlameLight, NoFlameClock, find_offset, read_light
 from gof.capture.sound_clock import NoSoundClock, SoundLag, find_lag
 from gof.capture.sync import nearest_frames
-from gof.capture.times import Clock, CounterReading, DecodingCost, FrameTime, FrameTimesFile, SyncedVideo, VideoTimes
+from gof.capture.times import Clock, FrameTimesFile, SyncedVideo, VideoTimes
 from gof.core.errors import GofError
 from gof.footage.videos import VideoInfo, distinct_names, fingerprint, read_info, require_different
 from gof.host.processes import run
@@ -213,30 +213,6 @@ def _compared(names: list[str], own: list[np.ndarray], sound: list[ClockFit], li
 
 
 def _described(info: VideoInfo, own: np.ndarray, fit: ClockFit, clock: Clock) -> VideoTimes:
-    step = float(np.median(np.diff(own)))
-    time_s = own * (1 + fit.drift) + fit.offset_s
-    sigma_us = round(1e6 * fit.sigma_s, 3)
-    return VideoTimes(
-        width=info.width,
-        height=info.height,
-        fps=round(1 / step, 5),
-        frame_interval_us=round(1e6 * step, 4),
-        row_time_us=0.0,
-        readout="down",
-        frames=tuple(FrameTime(round(t, 8), sigma_us, round(t, 8), True) for t in time_s.tolist()),
-        repeated_frames=(),
-        dropped_before={},
-        rms_us=0.0,
-        max_residual_us=0.0,
-        systematic_us=sigma_us,
-        outliers=0,
-        exposure_us=None,
-        saturation=None,
-        count=CounterReading(0, 0.0, 0),
-        container_fps=info.stated_fps,
-        marker_px=0.0,
-        faults=(),
-        warnings=(fit.said,) if fit.said else (),
-        cost=DecodingCost(0.0, 0.0, 0.0),
-        clock=clock,
-    )
+    time_s, step_us = own * (1 + fit.drift) + fit.offset_s, 1e6 * float(np.median(np.diff(own)))
+    size, sigma_us = (info.width, info.height), 1e6 * fit.sigma_s
+    return VideoTimes.estimated(size, time_s.tolist(), step_us, sigma_us, clock, info.stated_fps, fit.said)

@@ -10,14 +10,14 @@ alike when it is seen earlier or lower; its fastest flicker, of a few frames, do
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 from scipy import fft
 from scipy.ndimage import gaussian_filter1d
 
-from gof.capture.times import CounterReading, DecodingCost, FrameTime, VideoTimes
+from gof.capture.times import VideoTimes
 from gof.core.errors import GofError
 from gof.footage.videos import stated_fps, stored_frames
 
@@ -217,13 +217,15 @@ def estimate_times(video: Path, light: FlameLight, known: dict[str, tuple[Path, 
     start = float(np.average(starts, weights=weights))
     spread = float(np.sqrt(np.average((np.array(starts) - start) ** 2, weights=weights)))
     sigma = float(np.hypot(np.sqrt(np.average(errors, weights=weights)) * interval, spread))
-    best = max(usable.values(), key=lambda u: u[1].agreement)
+    like, _, _ = max(usable.values(), key=lambda u: u[1].agreement)
     seen = " and ".join(f"{name} (correlation {offset.agreement:.2f})" for name, (_, offset, _) in usable.items())
     text = (
         f"its times are ESTIMATED from the flame's light against {seen}: +-{sigma / 1000:.1f} ms, about "
         f"{sigma / interval:.1f} frames; frame rate and row time are taken from the others, gaps are not seen"
     )
-    return _described(best[0], start, interval, sigma, light, stated_fps(video), text)
+    seconds = 1e-6 * (start + interval * np.arange(len(light.along[0])))
+    times = VideoTimes.estimated(light.size, seconds.tolist(), interval, sigma, "flame", stated_fps(video), text)
+    return replace(times, row_time_us=like.row_time_us, readout=like.readout)
 
 
 def _on_clock(light: FlameLight, times: VideoTimes) -> FlameLight:
@@ -253,34 +255,3 @@ def _delay(times: VideoTimes, middle: np.ndarray) -> float:
     """us by which a place is read later than the picture's middle."""
     along = middle[0] if times.readout in ("left", "right") else middle[1]
     return float(times.row_time_us * along * (1 if times.readout in ("right", "down") else -1))
-
-
-def _described(
-    like: VideoTimes, start: float, interval: float, sigma: float, light: FlameLight, fps: float | None, text: str
-) -> VideoTimes:
-    count = len(light.along[0])
-    seconds = 1e-6 * (start + interval * np.arange(count))
-    return VideoTimes(
-        width=light.size[0],
-        height=light.size[1],
-        fps=round(1e6 / interval, 5),
-        frame_interval_us=round(interval, 4),
-        row_time_us=like.row_time_us,
-        readout=like.readout,
-        frames=tuple(FrameTime(round(t, 8), round(sigma, 3), round(t, 8), True) for t in seconds.tolist()),
-        repeated_frames=(),
-        dropped_before={},
-        rms_us=0.0,
-        max_residual_us=0.0,
-        systematic_us=round(sigma, 3),
-        outliers=0,
-        exposure_us=None,
-        saturation=None,
-        count=CounterReading(0, 0.0, 0),
-        container_fps=fps,
-        marker_px=0.0,
-        faults=(),
-        warnings=(text,),
-        cost=DecodingCost(0.0, 0.0, 0.0),
-        clock="flame",
-    )

@@ -34,7 +34,6 @@ class BoardInImage:
         led: (L, 2) LED positions; led_visible (L,) False where cut off by the image border.
         strip: (S, J, 2) sample points along each strip, in template order; strip_visible (S, J).
         strip_normal: (J, 2) unit vectors across the strips.
-        strip_offset_px: how far the strips were found from where the marker's plane puts them, mean over samples.
     """
 
     corners: np.ndarray
@@ -44,7 +43,6 @@ class BoardInImage:
     strip: np.ndarray
     strip_visible: np.ndarray
     strip_normal: np.ndarray
-    strip_offset_px: float
 
 
 class Summary:
@@ -121,8 +119,7 @@ def locate(
     margin = max(1.0, side / 30)
     led_visible = in_picture(led, width, height, margin)
 
-    strip, normal, strip_visible, offset = _find_strips(summary, template, H, samples)
-    return BoardInImage(corners, H, led, led_visible, strip, strip_visible, normal, offset)
+    return BoardInImage(corners, H, led, led_visible, *_find_strips(summary, template, H, samples))
 
 
 def _refined(points: BoardPoints, summary: Summary) -> BoardPoints:
@@ -246,7 +243,7 @@ def _find_strips(summary: Summary, template: BoardTemplate, H: np.ndarray, sampl
     curves: strips are mounted off the marker's plane and lenses bend them.
 
     Returns:
-        strips (S, J, 2), normals (J, 2), visible (S, J) and mean shift in px, see `BoardInImage`.
+        strips (S, J, 2), visible (S, J) and normals (J, 2), see `BoardInImage`.
     """
     flicker = summary.high.astype(np.float32) - summary.low
     height, width = flicker.shape
@@ -260,7 +257,7 @@ def _find_strips(summary: Summary, template: BoardTemplate, H: np.ndarray, sampl
         strip[k] += _towards_ridge(flicker, comb, strip[k])
     lit = sample(flicker, strip)
     visible = in_picture(strip, width, height, 1.5) & (lit > 0.5 * np.median(lit[:, inside]))
-    return strip, comb.normal, visible, float(np.mean(shift) * comb.spacing.mean())
+    return strip, visible, comb.normal
 
 
 def _predicted_comb(template: BoardTemplate, H: np.ndarray, samples: int) -> _Comb:

@@ -94,7 +94,6 @@ class RingBoard:
     Args:
         name: of the template.
         marker_id, inverted: as of `BoardTemplate`.
-        marker_side_m: size of the printed marker.
         led_xy: (L, 2) the ring's LEDs, in the order in which they light; led_dark (L, 2) bare board beside each.
         counter_xy: (B, 2) the counter's LEDs, lowest bit first; counter_dark (B, 2) bare board beside each.
         corner_xy: (4, 2) LEDs that are always lit.
@@ -105,7 +104,6 @@ class RingBoard:
     name: str
     marker_id: int
     inverted: bool
-    marker_side_m: float
     led_xy: np.ndarray
     led_dark: np.ndarray
     counter_xy: np.ndarray
@@ -143,7 +141,6 @@ class RingBoard:
             name=file.name,
             marker_id=file.marker.id,
             inverted=file.marker.inverted,
-            marker_side_m=side_m,
             led_xy=places(ring.centre + spoke),
             led_dark=places(ring.centre + DARK_RING * spoke),
             counter_xy=places(row),

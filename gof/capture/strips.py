@@ -9,7 +9,7 @@ change both flanks of a mid-exposure curve alike.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -74,7 +74,6 @@ class StripFit:
             removing the common part (strips of no use: NaN).
         slots: for each strip the slots it is lit in (more than one when strips are tied).
         faults: wiring faults in words.
-        rms: residual brightness, of 1.
     """
 
     time: np.ndarray
@@ -83,8 +82,7 @@ class StripFit:
     curve: np.ndarray
     centre_error: np.ndarray
     slots: list[tuple[int, ...]]
-    faults: list[str] = field(default_factory=list)
-    rms: float = 0.0
+    faults: list[str]
 
 
 def normalise(strip: np.ndarray, visible: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -177,7 +175,7 @@ def fit(
             few = slice(None, None, 4)  # plenty for a start
             time = _search(value[:, few], curve, strip[few], reference, row_time * x[few], period)
         for _ in range(2):
-            step, row_step, sigma, rms = _gauss_newton(value, curve, strip, time, row_time, x, period, free_row_time)
+            step, row_step, sigma = _gauss_newton(value, curve, strip, time, row_time, x, period, free_row_time)
             time = time + np.clip(step, -MAX_TIME_STEP_US, MAX_TIME_STEP_US)
             limit = MAX_SMALL_ROW_STEP if abs(row_time) < 1 else MAX_ROW_STEP
             row_time += float(np.clip(row_step, -limit, limit))
@@ -192,7 +190,7 @@ def fit(
     scatter = np.sqrt(np.mean(sigma**2)) or 1.0
     about_line = robust_scale(time - robust_line(index, time, sigma)[0]) if steady_line else scatter
     sigma = sigma * max(1.0, about_line / scatter)
-    return StripFit(time, sigma, row_time, _moved(curve, shift, period), centre_error, slots, faults, rms)
+    return StripFit(time, sigma, row_time, _moved(curve, shift, period), centre_error, slots, faults)
 
 
 def _moved(curve: np.ndarray, shift: float, period: float) -> np.ndarray:
@@ -312,12 +310,12 @@ def _gauss_newton(
     x: np.ndarray,
     period: float,
     free_row_time: bool,
-) -> tuple[np.ndarray, float, np.ndarray, float]:
+) -> tuple[np.ndarray, float, np.ndarray]:
     """Return one robust step for every frame's time and the shared row time: normal equations in which each frame's own
     unknown is eliminated (Schur complement).
 
     Returns:
-        (T,) time steps; row time step; (T,) standard errors of the times; residual rms.
+        (T,) time steps; row time step; (T,) standard errors of the times.
     """
     h, dh = _evaluate(curve, strip, time[:, None] + row_time * x, period)
     r = value - h
@@ -335,7 +333,7 @@ def _gauss_newton(
             row_step = (x_r - (tx * t_r / tt).sum()) / left
         t_r = t_r - tx * row_step
     rms = float(np.sqrt((w * r * r).sum() / w.sum()))
-    return t_r / tt, row_step, rms / np.sqrt(tt), rms
+    return t_r / tt, row_step, rms / np.sqrt(tt)
 
 
 def _relevel(raw: np.ndarray, model: np.ndarray) -> np.ndarray:

@@ -111,7 +111,6 @@ class BoardTemplate:
         strip_ends: (S, 2, 2) first and last lit point of each strip.
         strip_slot: (S,) slot in which each strip is lit.
         outline: (N, 2) polygon around the board, for masks and drawings.
-        marker_side_m: size of the printed marker, None when unknown.
         disambiguation_lead: how many periods before the count the disambiguation LED turns, see
             firmware/core/gof_board.h.
     """
@@ -124,7 +123,6 @@ class BoardTemplate:
     strip_ends: np.ndarray
     strip_slot: np.ndarray
     outline: np.ndarray
-    marker_side_m: float | None
     disambiguation_lead: float = 0.6
 
     @property
@@ -150,7 +148,6 @@ class BoardTemplate:
             strip_ends=np.array([strip.ends for strip in file.strips], np.float64),
             strip_slot=np.array([strip.slot for strip in file.strips]),
             outline=np.array(file.outline, np.float64),
-            marker_side_m=file.marker.side_m,
             disambiguation_lead=file.disambiguation_lead,
         )
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import ClassVar, Literal
 
@@ -91,6 +92,44 @@ class VideoTimes:
     warnings: tuple[str, ...]
     cost: DecodingCost
     clock: Clock = "board"
+
+    @classmethod
+    def estimated(
+        cls,
+        size: tuple[int, int],
+        times_s: Sequence[float],
+        interval_us: float,
+        sigma_us: float,
+        clock: Clock,
+        container_fps: float | None,
+        warning: str,
+    ) -> VideoTimes:
+        """Return times that no board was read for, every frame's as uncertain. size: (width, height) px."""
+        sigma_us = round(sigma_us, 3)
+        return cls(
+            width=size[0],
+            height=size[1],
+            fps=round(1e6 / interval_us, 5),
+            frame_interval_us=round(interval_us, 4),
+            row_time_us=0.0,
+            readout="down",
+            frames=tuple(FrameTime(round(t, 8), sigma_us, round(t, 8), True) for t in times_s),
+            repeated_frames=(),
+            dropped_before={},
+            rms_us=0.0,
+            max_residual_us=0.0,
+            systematic_us=sigma_us,
+            outliers=0,
+            exposure_us=None,
+            saturation=None,
+            count=CounterReading(0, 0.0, 0),
+            container_fps=container_fps,
+            marker_px=0.0,
+            faults=(),
+            warnings=(warning,) if warning else (),
+            cost=DecodingCost(0.0, 0.0, 0.0),
+            clock=clock,
+        )
 
 
 @dataclass(frozen=True)

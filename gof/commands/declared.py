@@ -46,7 +46,6 @@ class Option:
     positional: bool = False
     required: bool = False
     several: bool = False
-    is_path: bool = False
 
 
 def config_of(module: str) -> type:
@@ -118,7 +117,6 @@ def _options(field: dataclasses.Field, hint: Any, texts: dict[str, str]) -> Iter
         positional=positional,
         required=default is dataclasses.MISSING,
         several=_several(kind),
-        is_path=Path in kinds,
     )
 
 

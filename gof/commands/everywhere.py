@@ -119,7 +119,7 @@ def may_overwrite() -> bool:
     return _given.overwrite
 
 
-def require_free(*paths: Path, option: str = "--out") -> None:
+def require_free(*paths: Path) -> None:
     """Make sure that files which a user has named are not there yet, or may be replaced; a device or a pipe always may.
 
     Raises:
@@ -127,7 +127,7 @@ def require_free(*paths: Path, option: str = "--out") -> None:
     """
     for path in paths:
         if (path.is_file() or path.is_dir()) and not _given.overwrite:
-            raise GofError(f"{path}: is there already; give {option} another name, or replace it with --overwrite")
+            raise GofError(f"{path}: is there already; give --out another name, or replace it with --overwrite")
 
 
 def beside(source: Path, name: str) -> Path:

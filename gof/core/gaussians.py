@@ -22,6 +22,7 @@ from .errors import DataFormatError, naming, require_finite
 from .similarity import transformed_splats
 
 LIFE_SIGMAS = 3.0  # a Gaussian lives for this many t_sigma before and after t_mu; then 99 % of its opacity is gone
+VISIBLE = 1 / 255  # opacity below which a Gaussian changes no 8-bit picture
 FILLED_IN: Any = None  # default of an array that is there once its owner is constructed
 
 

@@ -12,6 +12,7 @@ from gof.footage.lens import STRAIGHT
 MARGIN = 1.3  # size of a rectified picture against the picture's own: little is cut off
 BLOCK = 5  # px, side of the windows that are compared
 MAX_RETURN_PX = 1.5  # how far matching there and back may end from where it began
+TOLERANCE = 0.02  # relative, of depths that agree
 
 
 def depth_range(cameras: list[Camera], points: np.ndarray, margin: float = 1.5) -> tuple[float, float]:
@@ -184,23 +185,20 @@ def neighbours_matched(pictures: list[np.ndarray], cameras: list[Camera], near: 
     return depths
 
 
-def consistent(
-    depths: list[np.ndarray], cameras: list[Camera], tolerance: float = 0.02, views: int = 1
-) -> list[np.ndarray]:
-    """Return depth maps without what fewer than `views` other maps confirm within a relative `tolerance`; (H, W) NaN
-    there."""
+def consistent(depths: list[np.ndarray], cameras: list[Camera]) -> list[np.ndarray]:
+    """Return depth maps (H, W) without what no other map confirms within a relative TOLERANCE; NaN there."""
     kept = []
     for c, depth in enumerate(depths):
         h, w = depth.shape
         x, y = np.meshgrid(np.arange(w) + 0.5, np.arange(h) + 0.5)
         points = cameras[c].unproject(np.column_stack([x.ravel(), y.ravel()]), depth.ravel())
-        agree = np.zeros(depth.size, int)
+        agree = np.zeros(depth.size, bool)
         for o, other in enumerate(cameras):
             if o != c:
                 pixels, z = other.project(points)
                 with np.errstate(invalid="ignore"):
-                    agree += np.abs(_looked_up(depths[o], pixels) - z) < tolerance * z
-        kept.append(np.where(agree.reshape(h, w) >= views, depth, np.nan).astype(np.float32))
+                    agree |= np.abs(_looked_up(depths[o], pixels) - z) < TOLERANCE * z
+        kept.append(np.where(agree.reshape(h, w), depth, np.nan).astype(np.float32))
     return kept
 
 

@@ -9,13 +9,12 @@ import numpy as np
 
 from gof.core.errors import DataFormatError
 from gof.core.files import atomic_path
-from gof.core.gaussians import TransientGaussians
+from gof.core.gaussians import VISIBLE, TransientGaussians
 from gof.core.ply import splat_columns, write
 from gof.core.similarity import Y_UP
 from gof.host import extras
 
 SUFFIXES = (".spz", ".sog")
-VISIBLE = 1 / 255  # opacity below which a Gaussian changes no 8-bit picture
 # What .spz can hold: places of 24 bits in steps of 1/4096 m, sizes, colours and harmonics of 8 bits each.
 SPZ_REACH_M = 2**23 / 4096
 SPZ_RANGES = {"scale_": (-10.0, 255 / 16 - 10), "f_dc_": (-0.5 / 0.15, 0.5 / 0.15), "f_rest_": (-1.0, 127 / 128)}

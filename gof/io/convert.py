@@ -11,7 +11,7 @@ from gof.core import ftgs
 from gof.core.cameras import Camera
 from gof.core.drafts import whole_folder
 from gof.core.errors import DataFormatError, NonFiniteError
-from gof.core.gaussians import TransientGaussians
+from gof.core.gaussians import VISIBLE, TransientGaussians
 from gof.core.ply import splat_columns, write
 from gof.host.options import require_number
 from gof.io import compressed, dgs, fourdgs, gltf, tsog, usd
@@ -246,9 +246,6 @@ def _clip(gaussians: TransientGaussians, out: Path, start_s: float | None, end_s
 # ----------------------------------------------------------------
 # A folder of 3DGS PLYs, one for every frame: for viewers that know no time, and play files one after another.
 
-VISIBLE = 1 / 255
-MOST_FRAMES = 100_000  # five digits
-
 
 def save_frames(
     gaussians: TransientGaussians,
@@ -269,15 +266,7 @@ def save_frames(
     Raises:
         DataFormatError: more frames than five digits count, or nothing is ever seen.
     """
-    count = int(np.floor((end_s - start_s) / step_s + 1e-6)) + 1
-    if not 1 <= count <= MOST_FRAMES:
-        raise DataFormatError(f"{folder}: {count} frames from {start_s} s to {end_s} s; choose --clip, --frame-time")
-    times = start_s + step_s * np.arange(count)
-    seen = np.zeros(len(gaussians), bool)
-    for time_s in times:
-        seen |= gaussians.at(time_s)[1] >= VISIBLE
-    if not seen.any():
-        raise DataFormatError(f"{folder}: no Gaussian can be seen between {start_s} s and {end_s} s; is that the clip?")
+    times, seen = usd.frames_of(gaussians, folder, start_s, end_s, step_s)
     g = gaussians[seen]
     with whole_folder(folder) as whole:
         for number, time_s in enumerate(times):
@@ -291,7 +280,7 @@ def save_frames(
                 columns,
                 [f"state at {time_s:.6f} s", "units: metres; world frame, Z up"],
             )
-    return [f"{count} files of {len(g):,} Gaussians, {1e3 * step_s:g} ms apart from {start_s:g} s on"]
+    return [f"{len(times)} files of {len(g):,} Gaussians, {1e3 * step_s:g} ms apart from {start_s:g} s on"]
 
 
 # ----------------------------------------------------------------
@@ -299,7 +288,6 @@ def save_frames(
 
 SIDE_PX, FOCAL_PX = 400, 800.0
 INSTANTS = (0.25, 0.5, 0.75)  # of the clip
-SHOWN_FROM = 1 / 255  # opacity below which a Gaussian changes no 8-bit picture
 LIT = 0.02  # display value from which a pixel shows something
 
 
@@ -343,7 +331,7 @@ def _psnr(before: TransientGaussians, after: TransientGaussians, times_s: list[f
 def _front(g: TransientGaussians, time_s: float) -> Camera | None:
     """Return a camera that looks along +y at most of what is seen at a time; None where nothing is."""
     position, opacity = g.at(time_s)
-    seen = position[opacity >= SHOWN_FROM]
+    seen = position[opacity >= VISIBLE]
     if not len(seen):
         return None
     low, high = np.percentile(seen.astype(np.float64), [2, 98], axis=0)

@@ -18,7 +18,7 @@ import numpy as np
 
 from gof.core.errors import DataFormatError, MissingDependencyError, require_finite
 from gof.core.files import atomic_path
-from gof.core.gaussians import TransientGaussians
+from gof.core.gaussians import VISIBLE, TransientGaussians
 from gof.core.harmonics import C0
 from gof.host import extras
 
@@ -27,8 +27,7 @@ SUFFIXES = (".usda", ".usdc")
 START, SOURCE, DATUM, EMISSIVE = "gof_start_s", "source", "gof_datum", "gof_emissive"  # in the file's customLayerData
 CLOSED_FORM = ("velocity", "t_mu", "t_sigma", "peak_opacity")  # primvars, and gas_velocity and v_sd where there are any
 OLDEST = (0, 26, 3)  # of OpenUSD that has splats
-VISIBLE = 1 / 255  # opacity below which a Gaussian changes no 8-bit picture: written as 0
-MOST_FRAMES = 100_000
+MOST_FRAMES = 100_000  # five digits
 REACH_SIGMAS = 3.0  # of a splat's box
 HEAD = """#usda 1.0
 (
@@ -85,16 +84,8 @@ def save(
         DataFormatError: no or too many frames, or nothing is ever seen.   NonFiniteError: a value is beyond a float32.
         MissingDependencyError: a .usdc, and OpenUSD is not installed, or older than the schema.
     """
-    count = int(np.floor((end_s - start_s) / step_s + 1e-6)) + 1
-    if not 1 <= count <= MOST_FRAMES:
-        raise DataFormatError(f"{path}: {count} frames from {start_s} s to {end_s} s; choose --clip, --frame-time")
+    times, seen = frames_of(gaussians, path, start_s, end_s, step_s)
     binary = _binary(path) if path.suffix == ".usdc" else None
-    times = start_s + step_s * np.arange(count)
-    seen = np.zeros(len(gaussians), bool)
-    for time_s in times:
-        seen |= gaussians.at(time_s)[1] >= VISIBLE
-    if not seen.any():
-        raise DataFormatError(f"{path}: no Gaussian can be seen between {start_s} s and {end_s} s; is that the clip?")
     with atomic_path(path) as draft:
         text = draft.with_suffix(".usda")
         try:
@@ -107,9 +98,28 @@ def save(
             if text != draft:
                 text.unlink(missing_ok=True)
     return seen, [
-        f"{count} frames of {seen.sum():,} Gaussians, {1e3 * step_s:g} ms apart from {start_s:g} s on, Z up",
+        f"{len(times)} frames of {seen.sum():,} Gaussians, {1e3 * step_s:g} ms apart from {start_s:g} s on, Z up",
         f"{path.stat().st_size:,} bytes; numbers have seven digits, opacities below 1/255 are 0",
     ]
+
+
+def frames_of(
+    gaussians: TransientGaussians, out: Path, start_s: float, end_s: float, step_s: float
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return (T,) the times of a clip's frames, s, and (N,) which Gaussians some of them show.
+
+    Raises:
+        DataFormatError: no or too many frames, or nothing is ever seen; names `out`.
+    """
+    count = int(np.floor((end_s - start_s) / step_s + 1e-6)) + 1
+    if not 1 <= count <= MOST_FRAMES:
+        raise DataFormatError(f"{out}: {count} frames from {start_s} s to {end_s} s; choose --clip, --frame-time")
+    times, seen = start_s + step_s * np.arange(count), np.zeros(len(gaussians), bool)
+    for time_s in times:
+        seen |= gaussians.at(time_s)[1] >= VISIBLE
+    if not seen.any():
+        raise DataFormatError(f"{out}: no Gaussian can be seen between {start_s} s and {end_s} s; is that the clip?")
+    return times, seen
 
 
 def _write_text(

@@ -46,7 +46,6 @@ def build_report(
     scores: Scores,
     stages: Sequence[StageCost] = (),
     preview: Preview | None = None,
-    stage_pictures: Path | None = None,
     camera: int | None = None,
     fire_removal: Sequence[Sequence[PagePicture | None]] = (),
     train_s: float | None = None,
@@ -56,11 +55,10 @@ def build_report(
 
     Args:
         out_dir: folder of the report.
-        dataset, result: what was reconstructed, and the file of `TransientGaussians.save`.
+        dataset, result: what was reconstructed, and the file of `TransientGaussians.save`; PNGs in a folder "stages"
+            beside it are shown with their captions (`gof.reconstruct.captions`).
         stages: cost of every stage, in order.
         preview: a Blender picture to show beside the true one; its image lies in `out_dir`.
-        stage_pictures: folder of PNGs with their captions (`gof.reconstruct.captions`); default: "stages" beside
-            `result`.
         camera: number of the camera of the animation; default the middle one.
         fire_removal: rows of pictures that show what the plates are worth, one for each camera.
         train_s: seconds that the reconstruction took.
@@ -109,7 +107,7 @@ def build_report(
             "stages": list(stages),
             "preview": _preview(preview, out_dir, dataset),
             "fire_removal": fire_removal,
-            "stage_pictures": _stage_pictures(stage_pictures or result.parent / "stages"),
+            "stage_pictures": _stage_pictures(result.parent / "stages"),
             "machine": machine(),
             "versions": versions() | _provenance(dataset),
             "effects": dataset.description.effects,

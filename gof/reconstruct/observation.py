@@ -23,6 +23,7 @@ from gof.reconstruct.methods import OURS, Method
 from gof.reconstruct.occluders import blocked_views
 from gof.reconstruct.optical_flow import Flow, dis
 
+MAX_ERROR_PX = 1.0  # there and back, plus a tenth of its length: above, a flow vector is dropped
 MOVING_PX = 0.5
 GROWN_BY = np.ones((5, 5), np.uint8)
 
@@ -124,7 +125,7 @@ class _Pairs:
         return self._flows
 
 
-def checked_velocity(flow: Flow, max_error_px: float) -> FrameVelocity:
+def checked_velocity(flow: Flow) -> FrameVelocity:
     """Central where both neighbours are training frames, one-sided where one is; without what does not come back."""
     pairs = _Pairs(flow)
 
@@ -134,7 +135,7 @@ def checked_velocity(flow: Flow, max_error_px: float) -> FrameVelocity:
             if neighbour not in pictures:
                 continue
             there, back = pairs(pictures[k], pictures[neighbour])
-            bad = consistency(there, back) > max_error_px + 0.1 * np.linalg.norm(there, axis=-1)
+            bad = consistency(there, back) > MAX_ERROR_PX + 0.1 * np.linalg.norm(there, axis=-1)
             velocity = there / (times[neighbour] - times[k])
             velocity[bad] = np.nan
             estimates.append(velocity)
@@ -211,8 +212,6 @@ def observe(
     dataset: Dataset,
     method: Method = OURS,
     flow: Flow = dis,
-    max_error_px: float = 1.0,
-    picture: Callable[[np.ndarray, np.ndarray], np.ndarray] | None = None,
     progress: Callable[..., None] | None = None,
 ) -> Observation:
     """Read the training frames; find masks, intensity and flow of every camera in each.
@@ -221,8 +220,6 @@ def observe(
         dataset: opened dataset; its test frames are not read.
         method: how plates, flow and masks are made.
         flow: see `optical_flow`.
-        max_error_px: forward-backward error above which a flow vector is dropped (plus a tenth of its length).
-        picture: (image, static) -> (H, W) or (H, W, 3) uint8, what the optical flow looks at, instead of the method's.
         progress: called with (done, total) after every picture.
 
     Raises:
@@ -237,8 +234,9 @@ def observe(
             f"{dataset.path}: no flame found in any training frame (nothing rises above the static plates)"
         )
     cameras = list(dataset.cameras)
-    velocity_at = checked_velocity(flow, max_error_px) if method.flow_of_light else velocity_ahead(flow)
-    picture = picture or (flow_picture if method.flow_of_light else colour_picture)
+    picture, velocity_at = (
+        (flow_picture, checked_velocity(flow)) if method.flow_of_light else (colour_picture, velocity_ahead(flow))
+    )
     velocity = _flow(views, frames, picture, velocity_at, progress)
     mask = allowed = np.stack([view.mask for view in views], axis=1)
     if method.flow_masks:

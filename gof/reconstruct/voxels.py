@@ -9,6 +9,7 @@ import numpy as np
 from gof.core.cameras import Camera
 from gof.core.errors import DataFormatError
 
+MIN_VIEWS = 2  # whose masks must hold a voxel, where there are so many cameras
 ROOM = 4.0  # voxels around the hull that flame Gaussians, which may move, are still sure to be in
 LAYERS_POOLED = 2.0  # std-dev in voxels: a flame's middle and width change slowly with height
 
@@ -97,24 +98,23 @@ def carve(
     cameras: list[Camera],
     masks: np.ndarray,
     longest_side: int,
-    min_views: int = 2,
     blocked: np.ndarray | None = None,
     vetoes: bool = True,
 ) -> FlameVoxels:
     """Voxels whose image lies in the union-over-time mask of every camera that has them in view.
 
-    At least `min_views` of those masks must hold it. A camera does not have in view what something hides from it. What
+    At least MIN_VIEWS of those masks must hold it. A camera does not have in view what something hides from it. What
     a single camera sees is no deeper than it is wide.
 
     Args:
         cameras: C cameras.   masks: (F, C, H, W) bool.
         longest_side: voxels along the longest side of the flame's own box (sets the voxel size).
         blocked: (C, H, W) bool, where something stands before the flame (`occluders`); None: nowhere.
-        vetoes: whether a camera's mask ends the hull; else `min_views` are enough (authors of the paper).
+        vetoes: whether a camera's mask ends the hull; else MIN_VIEWS are enough (authors of the paper).
     Raises:
         DataFormatError: see `flame_box`; or the hull is empty (masks or poses disagree).
     """
-    union = masks.any(0)
+    union, least = masks.any(0), min(MIN_VIEWS, len(cameras))
     low, high = flame_box(cameras, union)
     forward = np.stack([camera.world_to_camera[2, :3] for camera in cameras])
     for side in (48, longest_side):  # first coarse, for the flame's own box, then at the asked size
@@ -127,15 +127,15 @@ def carve(
         if blocked is not None:
             pixel[voxels.sample(blocked)] = np.nan
         hit = voxels.sample(union.astype(np.int8), outside=-1)
-        keep = (hit == 1).sum(0) >= min(min_views, len(cameras))
+        keep = (hit == 1).sum(0) >= least
         if vetoes:
             keep &= (hit != 0).all(0)
         if len(cameras) == 1 and keep.any():
             keep &= _no_deeper_than_wide(center, keep, forward[0])
         if not keep.any():
             raise DataFormatError(
-                f"no voxel lies in the flame masks of {min(min_views, len(cameras))} of {len(cameras)} cameras; check "
-                "the masks and the camera poses"
+                f"no voxel lies in the flame masks of {least} of {len(cameras)} cameras; check the masks and the "
+                "camera poses"
             )
         low, high = center[keep].min(0) - voxel, center[keep].max(0) + voxel
     kept = center[keep]

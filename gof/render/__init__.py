@@ -4,12 +4,17 @@ from importlib import import_module
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:  # for editors and type checkers; tests/render/test_package.py holds it to the table below
-    from gof.render.harmonics import harmonics_color
-    from gof.render.loss import Target, l1_ssim
-    from gof.render.rasterizer import Frame, render, render_splats
-    from gof.render.scene import Splats, require_finite_splats, transient_state
-    from gof.render.shutter import shutter_delay
-    from gof.render.torch_api import rasterize
+    from gof.render.harmonics import harmonics_color as harmonics_color
+    from gof.render.loss import Target as Target
+    from gof.render.loss import l1_ssim as l1_ssim
+    from gof.render.rasterizer import Frame as Frame
+    from gof.render.rasterizer import render as render
+    from gof.render.rasterizer import render_splats as render_splats
+    from gof.render.scene import Splats as Splats
+    from gof.render.scene import require_finite_splats as require_finite_splats
+    from gof.render.scene import transient_state as transient_state
+    from gof.render.shutter import shutter_delay as shutter_delay
+    from gof.render.torch_api import rasterize as rasterize
 
 _MODULES = {
     "Frame": "rasterizer",
@@ -24,19 +29,7 @@ _MODULES = {
     "shutter_delay": "shutter",
     "transient_state": "scene",
 }
-__all__ = [
-    "Frame",
-    "Splats",
-    "Target",
-    "harmonics_color",
-    "l1_ssim",
-    "rasterize",
-    "render",
-    "render_splats",
-    "require_finite_splats",
-    "shutter_delay",
-    "transient_state",
-]
+__all__ = [*_MODULES]
 
 
 def __getattr__(name: str):

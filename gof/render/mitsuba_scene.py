@@ -107,13 +107,8 @@ def scene(
 
 
 def render_mitsuba(
-    gaussians: TransientGaussians,
-    camera: Camera,
-    time_s: float,
-    spp: int = 16,
-    seed: int = 0,
-    filter_sigma: float = DILATION_SIGMA_PX,
+    gaussians: TransientGaussians, camera: Camera, time_s: float, spp: int = 16, seed: int = 0
 ) -> np.ndarray:
     """(H, W, 3) float32 picture by ray tracing."""
     mi = _mitsuba()
-    return np.array(mi.render(scene(gaussians, camera, time_s, spp, filter_sigma), seed=seed))
+    return np.array(mi.render(scene(gaussians, camera, time_s, spp), seed=seed))

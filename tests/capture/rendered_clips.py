@@ -14,9 +14,9 @@ import numpy as np
 from gof.capture.decode import CameraTimes, DecodeOptions, decode
 from gof.capture.locate import Summary, locate
 from gof.capture.signals import make_signals, read_signals, sample_frame
-from gof.capture.synthetic import SyntheticShot, render, write_video
 from gof.capture.template import BoardTemplate
 from gof.core.errors import GofError
+from tests.capture.synthetic import SyntheticShot, render, write_video
 
 
 def measure(

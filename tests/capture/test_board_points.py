@@ -10,13 +10,13 @@ from gof.capture.board_points import read_board_points
 from gof.capture.decode import DecodeOptions, decode
 from gof.capture.locate import BoardNotFound, project
 from gof.capture.signals import read_signals
-from gof.capture.synthetic import SyntheticShot, render
 from gof.capture.template import BoardTemplate
 from gof.commands.cli import main as gof
 from gof.core.errors import DataFormatError
 from gof.dataset import Dataset
 from gof.footage.pictures import write_picture
 from tests.capture.rendered_clips import errors
+from tests.capture.synthetic import SyntheticShot, render
 from tests.conftest import look_at, write_dataset
 
 BOARD = BoardTemplate.load("gof_board")

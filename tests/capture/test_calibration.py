@@ -14,13 +14,13 @@ from gof.capture.calibration import calibrate, sharpest
 from gof.capture.charuco import POINTS_PER_MM, Charuco, draw_pdf, draw_svg, page
 from gof.capture.locate import Summary, locate
 from gof.capture.sync import sensor
-from gof.capture.synthetic import SyntheticShot, render, write_video
 from gof.capture.template import BoardTemplate
 from gof.commands.cli import main as gof
 from gof.core.errors import DataFormatError, GofError
 from gof.core.records import write_record
 from gof.dataset import Dataset, DatasetDescription
 from gof.footage.lens import CalibratedCamera, CamerasFile, Lens, read_cameras
+from tests.capture.synthetic import SyntheticShot, render, write_video
 from tests.conftest import look_at, write_dataset
 
 pytestmark = pytest.mark.long

@@ -16,13 +16,13 @@ from gof.capture.decode import DecodeOptions, decode
 from gof.capture.flame_clock import FlameLight, NoFlameClock, estimate_times, find_offset, light_of, read_light
 from gof.capture.signals import make_signals, read_signals
 from gof.capture.sync import synchronise
-from gof.capture.synthetic import SyntheticShot, render, write_video
 from gof.capture.template import BoardTemplate
 from gof.capture.times import CounterReading, DecodingCost, FrameTime, SyncedVideo, VideoTimes
 from gof.capture.warnings import refusal, warnings_of
 from gof.commands.cli import main as gof
 from gof.core.errors import GofError
 from gof.footage.videos import stored_frames
+from tests.capture.synthetic import SyntheticShot, render, write_video
 
 BOARD, PAPER = BoardTemplate.load("gof_board"), BoardTemplate.load("paper_rig")
 

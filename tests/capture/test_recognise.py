@@ -10,10 +10,10 @@ import pytest
 
 from gof.capture.recognise import recognise
 from gof.capture.ring_board import RingBoard
-from gof.capture.synthetic import RingShot, SyntheticShot, render, render_ring, write_video
 from gof.capture.template import BoardTemplate
 from gof.commands.cli import main as gof
 from gof.footage.videos import stored_frames
+from tests.capture.synthetic import RingShot, SyntheticShot, render, render_ring, write_video
 
 pytestmark = pytest.mark.long
 

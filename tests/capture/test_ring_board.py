@@ -12,24 +12,13 @@ from gof.capture.decode import DecodeOptions
 from gof.capture.ring_board import RingBoard, load_board
 from gof.capture.ring_decode import decode_ring
 from gof.capture.strips import NotDecodable
-from gof.capture.synthetic import RingShot, SyntheticShot, render_ring, write_video
 from gof.capture.template import BoardTemplate
 from gof.commands.cli import main as gof
 from gof.core.errors import DataFormatError
+from tests.capture.synthetic import USUAL as CAMERA
+from tests.capture.synthetic import RingShot, render_ring, write_video
 
 BOARD = RingBoard.load("rocsync")
-CAMERA = SyntheticShot(
-    width=300,
-    height=260,
-    marker_px=60,
-    row_time=20.0,
-    readout="down",
-    exposure=8000.0,
-    fps=29.97,
-    centre=(0.5, 0.5),
-    roll_deg=0.0,
-    gain=4.0,
-)
 
 
 def shoot(shot, frames=40, change=None):

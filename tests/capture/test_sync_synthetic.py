@@ -9,11 +9,11 @@ import pytest
 from gof.capture.decode import DecodeOptions, decode
 from gof.capture.locate import BoardNotFound, Summary, locate
 from gof.capture.strips import NotDecodable, robust_line
-from gof.capture.synthetic import SyntheticShot, lit_share, render, write_video
 from gof.capture.template import BoardTemplate
 from gof.commands.cli import main as gof
 from gof.footage.pictures import write_picture
 from tests.capture.rendered_clips import errors, measure, signals_of
+from tests.capture.synthetic import SyntheticShot, lit_share, render, write_video
 
 pytestmark = pytest.mark.long
 

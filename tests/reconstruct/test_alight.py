@@ -14,15 +14,10 @@ from gof.render.adam import Adam
 from gof.render.backend import BACKEND
 from tests.conftest import arc
 from tests.reconstruct.rising_flame import DT, column, reconstruct, write_flame
-from tests.sets_of_kernels import draw_with
+
+pytestmark = pytest.mark.usefixtures("kernels")
 
 VOXEL = 0.1
-
-
-@pytest.fixture(params=["drjit", "native"], autouse=True)
-def kernels(request, monkeypatch):
-    draw_with(request.param, monkeypatch)
-    return request.param
 
 
 def short_lived(n=500, lives=0.4) -> TransientGaussians:

@@ -17,9 +17,9 @@ from zlib import crc32
 import numpy as np
 
 from gof.core.files import read_json, write_json
+from tests.reliability import datasets, names, results, runs
 from tests.reliability.damage import Instead, damaged, put
-from tests.reliability.format import finite
-from tests.reliability.formats import formats
+from tests.reliability.format import Format, finite
 
 MEMORY = 2**30  # bytes beyond what the reader's libraries take
 LIMIT_S = 10.0
@@ -29,7 +29,7 @@ STEP = 100  # inputs after which a campaign writes down how far it is
 
 # What most readers load: once, by the process that theirs are forked from. Nothing that starts a renderer's threads.
 LOADED_ONCE = (
-    "tests.reliability.formats",
+    "tests.reliability.fuzz",
     "gof.io.importers",
     "gof.evaluate.submission",
     "gof.look.report",
@@ -40,6 +40,11 @@ LOADED_ONCE = (
     "gof.reconstruct.sanity",
     "gof_blender.pure.spec",
 )
+
+
+def formats() -> dict[str, Format]:
+    """Return everything this software reads from outside, by name: small good samples, and their public readers."""
+    return {**results.formats(), **datasets.formats(), **names.formats(), **runs.formats()}
 
 
 @dataclass

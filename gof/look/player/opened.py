@@ -9,13 +9,11 @@ from typing import Generic, TypeVar
 import numpy as np
 
 from gof.core.errors import DataFormatError, GofError
-from gof.core.gaussians import MovingGaussians, TransientGaussians
+from gof.core.gaussians import VISIBLE, MovingGaussians, TransientGaussians
 from gof.dataset import Dataset
 from gof.io.importers import ImportOptions, read_result
 
 G = TypeVar("G", bound=MovingGaussians)
-
-VISIBLE = 1 / 255  # opacity below which a Gaussian changes no 8-bit picture
 
 
 @dataclass(frozen=True)

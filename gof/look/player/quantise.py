@@ -14,9 +14,8 @@ from typing import Any
 import numpy as np
 
 from gof.core.cameras import Camera
-from gof.core.gaussians import TransientGaussians
+from gof.core.gaussians import VISIBLE, TransientGaussians
 from gof.core.harmonics import plain_color
-from gof.look.player.opened import VISIBLE
 
 LONGEST_SIDE = 720  # px of the pictures in which the cost is measured
 ROTATION_BITS = 10  # of each of the three smaller parts of a quaternion

@@ -202,7 +202,7 @@ def write_video(path: Path, pictures: Iterator[np.ndarray], codec: str = "mp4v")
 # ----------------------------------------------------------------
 # Renders footage of a ring board with exact rolling shutter and exposure, and known times: the truth for its decoder.
 #
-# As in `gof.capture.synthetic`, nothing is shared with the decoder but the board's template.
+# As above, nothing is shared with the decoder but the board's template.
 
 RED = np.array([1.0, 0.25, 0.18])  # a red LED's light in R, G, B
 BOARD, PRINT = np.array([22.0, 24.0, 26.0]), np.array([205.0, 205.0, 200.0])  # solder mask and silk screen
@@ -223,6 +223,20 @@ class RingShot:
     move: tuple[float, float] = (0.0, 0.0)
     covered: tuple[tuple[float, float, float], ...] = ()
     counter_gain: float = 0.5
+
+
+USUAL = SyntheticShot(
+    width=300,
+    height=260,
+    marker_px=60,
+    row_time=20.0,
+    readout="down",
+    exposure=8000.0,
+    fps=29.97,
+    centre=(0.5, 0.5),
+    roll_deg=0.0,
+    gain=4.0,
+)  # a camera that films a ring board
 
 
 def render_ring(shot: RingShot, board: RingBoard, frames: int) -> Iterator[np.ndarray]:
