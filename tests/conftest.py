@@ -2,6 +2,7 @@
 
 import os
 import sys
+from importlib.util import find_spec
 from pathlib import Path
 
 # Before numpy comes: threads of workers side by side, one a core, would spin on small matrices and wait for each other.
@@ -18,6 +19,12 @@ from gof.core.fields import VelocityField, VelocitySequence
 from gof.core.gaussians import TransientGaussians
 from gof.dataset import CameraEntry, DatasetDescription, Splits
 
+# Dr.Jit's threads look for work for milliseconds after each of its kernels: of pictures as small as tests', two take no
+# less time than one, and half as much CPU again. Tests of the kernels themselves draw on all (sets_of_kernels.py).
+if find_spec("drjit"):
+    import drjit
+
+    drjit.set_thread_count(1)
 sys.dont_write_bytecode = False
 os.environ.setdefault("GOF_DEBUG", "faults")  # a fault of ours shows where it is; tests of its words take this away
 

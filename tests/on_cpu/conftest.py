@@ -2,7 +2,9 @@
 
 import pytest
 
-from tests.sets_of_kernels import draw_with
+from tests.sets_of_kernels import all_threads, draw_with
+
+__all__ = ["all_threads"]  # of every test here
 
 
 @pytest.fixture(params=["drjit", "native"])
