@@ -2,6 +2,7 @@
 
 import os
 import sys
+from collections import Counter
 from importlib.util import find_spec
 from pathlib import Path
 
@@ -30,12 +31,15 @@ os.environ.setdefault("GOF_DEBUG", "faults")  # a fault of ours shows where it i
 
 
 EACH_ALONE = ("tests/test_printed_commands.py", "tests/test_examples.py", "tests/test_site.py")  # pages take long
+SECONDS = {"blender": 4, "long": 3}  # of a test with this mark, about; one without takes none
 
 
 @pytest.hookimpl(optionalhook=True)
 def pytest_xdist_make_scheduler(config, log):
-    """A file's tests, which share fixtures, on one worker; pages on any, so that none is left with the longest file."""
+    """A file's tests, which share fixtures, on one worker; pages on any. Long ones first, as collected."""
     from xdist.scheduler import LoadScopeScheduling
+
+    config.option.loadscopereorder = False
 
     class ByFile(LoadScopeScheduling):
         def _split_scope(self, nodeid: str) -> str:
@@ -43,6 +47,17 @@ def pytest_xdist_make_scheduler(config, log):
             return nodeid if file in EACH_ALONE else file
 
     return ByFile(config, log)
+
+
+@pytest.hookimpl(trylast=True)  # after those that do not run are left out
+def pytest_collection_modifyitems(config, items):
+    """Side by side, files that take long come first: no worker is left with one when the others are done."""
+    if not hasattr(config, "workerinput"):
+        return
+    seconds = Counter()
+    for item in items:
+        seconds[item.path] += max((SECONDS.get(mark.name, 0) for mark in item.iter_markers()), default=0)
+    items.sort(key=lambda item: -seconds[item.path])
 
 
 def look_at(name: str, position, target, width=36, height=64, focal_px=80.0) -> Camera:
