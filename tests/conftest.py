@@ -2,6 +2,8 @@
 
 import os
 import sys
+from collections import Counter
+from importlib.util import find_spec
 from pathlib import Path
 
 # Before numpy comes: threads of workers side by side, one a core, would spin on small matrices and wait for each other.
@@ -17,18 +19,29 @@ from gof.core.cameras import Camera
 from gof.core.fields import VelocityField, VelocitySequence
 from gof.core.gaussians import TransientGaussians
 from gof.dataset import CameraEntry, DatasetDescription, Splits
+from gof.host.threads import core_count
 
+# Dr.Jit's threads look for work for milliseconds after each of its kernels: of pictures as small as tests', two take no
+# less time than one, and half as much CPU again. Tests of the kernels themselves draw on all (`threads_of_kernels`).
+if find_spec("drjit"):
+    import drjit
+
+    drjit.set_thread_count(1)
 sys.dont_write_bytecode = False
 os.environ.setdefault("GOF_DEBUG", "faults")  # a fault of ours shows where it is; tests of its words take this away
 
 
 EACH_ALONE = ("tests/test_printed_commands.py", "tests/test_examples.py", "tests/test_site.py")  # pages take long
+TESTS_OF_KERNELS = ("render", "on_cpu")  # folders
+SECONDS = {"blender": 4, "long": 3}  # of a test with this mark, about; one without takes none
 
 
 @pytest.hookimpl(optionalhook=True)
 def pytest_xdist_make_scheduler(config, log):
-    """A file's tests, which share fixtures, on one worker; pages on any, so that none is left with the longest file."""
+    """A file's tests, which share fixtures, on one worker; pages on any. Long ones first, as collected."""
     from xdist.scheduler import LoadScopeScheduling
+
+    config.option.loadscopereorder = False
 
     class ByFile(LoadScopeScheduling):
         def _split_scope(self, nodeid: str) -> str:
@@ -36,6 +49,17 @@ def pytest_xdist_make_scheduler(config, log):
             return nodeid if file in EACH_ALONE else file
 
     return ByFile(config, log)
+
+
+@pytest.hookimpl(trylast=True)  # after those that do not run are left out
+def pytest_collection_modifyitems(config, items):
+    """Side by side, files that take long come first: no worker is left with one when the others are done."""
+    if not hasattr(config, "workerinput"):
+        return
+    seconds = Counter()
+    for item in items:
+        seconds[item.path] += max((SECONDS.get(mark.name, 0) for mark in item.iter_markers()), default=0)
+    items.sort(key=lambda item: -seconds[item.path])
 
 
 def look_at(name: str, position, target, width=36, height=64, focal_px=80.0) -> Camera:
@@ -133,6 +157,18 @@ def tiny_dataset(tmp_path) -> Path:
         masks=rng.random((4, 2, 64, 36)) > 0.5,
         test_frames=[2],
     )
+
+
+@pytest.fixture(scope="module", autouse=True)
+def threads_of_kernels(request):
+    """In tests of kernels, as many of Dr.Jit's threads as the renderer takes by itself, and never one alone."""
+    if request.path.parent.name not in TESTS_OF_KERNELS or not find_spec("drjit"):
+        yield
+        return
+    before = drjit.thread_count()
+    drjit.set_thread_count(max(2, min(core_count(), 8)))
+    yield
+    drjit.set_thread_count(before)
 
 
 @pytest.fixture(params=["drjit", "native"])

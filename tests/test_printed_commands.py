@@ -159,6 +159,7 @@ SOURCES += [path for path in ROOT.glob("benchmark/**/*.py") if "evidence" not in
 NAMED = re.compile(rf"\bgof ((?:{'|'.join(sorted(commands()))})(?: [a-z]+)?)((?: [^\s'\"`;,()]+)*)")
 
 
+@cache
 def texts(path: Path) -> list[tuple[int, str]]:
     """(line, text) of every string of a file; what is put into it by braces is X."""
     tree = ast.parse(path.read_text(encoding="utf-8"))

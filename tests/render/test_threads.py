@@ -34,7 +34,6 @@ def test_every_part_is_done_once():
     assert (done == 2).all()
 
 
-@pytest.mark.skipif(threads.thread_count() == 1, reason="Dr.Jit has one thread here")
 def test_parts_are_done_side_by_side():
     who, both = set(), threading.Barrier(2)
 
