@@ -26,9 +26,9 @@ Sources of the figures:
   which a mean over a large turbulent flame is not: its optical thickness is taken as at least `LEAST_THICKNESS`. In
   large ones soot lies in folds, between which one sees deeper than through the mean: at most `MOST_THICKNESS`. Both are
   our choice.
-- Thin sheets: their place, width, density, coolest soot and exposure are those of 17 tried whose colours and texture,
-  on seven fires, were nearest to eight filmed ones (`gof_benchmark.evidence.flame_looks`; notebook/how_real.md). One
-  sees through a single sheet, which is orange; where folds lie behind each other it is nearly white.
+- Thin sheets: their place, width, density, coolest soot and exposure are among the nearest of eleven, by colours and
+  texture on seven fires, to eight filmed ones (`gof_benchmark.evidence.flame_looks`; notebook/how_real.md). One sees
+  through a single sheet, which is orange; where folds lie behind each other it is nearly white.
 - Soot of 1400 to 1950 K, and its distribution over ``flame``: chosen by eye and by the colours of the paper's filmed
   fires (`gof_benchmark.evidence.flame_looks`).
 """
