@@ -25,7 +25,7 @@ SHIPPED = {
     "gof-sensors": ROOT / "gof/capture/sensors.json",
     "gof-led-board": ROOT / "gof/capture/gof_board.json",
     "gof-ring-board": ROOT / "gof/capture/rocsync.json",
-    "gof-suite": ROOT / "benchmark/suite/gof_bench_1.json",
+    "gof-suite": ROOT / "benchmark/suite/gof_bench_2.json",
     "gof-suite-truth": ROOT / "benchmark/suite/truth.json",
 }
 ANY = "*"  # in a tree of fields: whatever the name

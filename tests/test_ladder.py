@@ -9,8 +9,8 @@ import pytest
 
 from gof.core.ladder import FORMER, LADDER
 from gof.reconstruct.presets import PRESETS as EFFORT
-from gof_benchmark.suite import SEALED, Size
-from gof_benchmark.suite.made import folder_of, size_of
+from gof_benchmark.suite import SIZES, Size
+from gof_benchmark.suite.made import size_of
 from gof_blender.pure import presets
 
 PAGE = Path(__file__).parents[1] / "docs/presets.md"
@@ -42,9 +42,6 @@ def test_the_table_says_what_a_preset_is(name):
     assert numbers(reconstructed) == list(astuple(EFFORT[name]))
 
 
-def test_sizes_of_the_benchmark_have_their_old_folders_too(tmp_path):
-    assert {size: size_of(tmp_path / size) for size in SEALED} == {size: size for size in SEALED}
-    assert size_of(tmp_path / "smoke") == "preview" and size_of(tmp_path / "else") is None
-    assert folder_of(tmp_path, "preview") == tmp_path / "preview"
-    (tmp_path / "smoke").mkdir()
-    assert folder_of(tmp_path, "preview") == tmp_path / "smoke", "begun by the version before"
+def test_sizes_of_the_benchmark_are_folders_of_their_names(tmp_path):
+    assert {size: size_of(tmp_path / size) for size in SIZES} == {size: size for size in SIZES}
+    assert size_of(tmp_path / "else") is None

@@ -18,7 +18,7 @@ PARTS = {
 HELP = """\
 usage: gof benchmark PART [OPTIONS]        gof benchmark PART --help explains one part
 
-GoF-Bench 1, a frozen list of scenes that methods are compared on (docs/benchmark.md).
+GoF-Bench 2, a frozen list of scenes that methods are compared on (docs/benchmark.md).
 
 {parts}
 

@@ -21,7 +21,7 @@ WHOLE = ("scene", "split", "solver", "picture", "spec")  # columns that are not 
 
 @dataclass
 class ListConfig:
-    """List the scenes of GoF-Bench 1: fire, cameras, and what each costs to make.
+    """List the scenes of GoF-Bench 2: fire, cameras, and what each costs to make.
 
     Examples:
       gof benchmark list --size preview

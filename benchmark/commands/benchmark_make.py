@@ -16,14 +16,14 @@ from gof.dataset import Dataset
 from gof.host.terminal import console
 from gof_benchmark.fires.making import make, predicted_s
 from gof_benchmark.suite import Size, choose
-from gof_benchmark.suite.made import compare, folder_of
+from gof_benchmark.suite.made import compare
 
 SIGNS = {"same": "✓", "not to the bit": "?", "unknown": "?"}
 
 
 @dataclass
 class MakeConfig:
-    """Make the scenes of GoF-Bench 1 in a size, as WORK/SIZE/SCENE, and compare their truth with the recorded one.
+    """Make the scenes of GoF-Bench 2 in a size, as WORK/SIZE/SCENE, and compare their truth with the recorded one.
 
     Examples:
       gof benchmark make bench --size preview
@@ -45,7 +45,7 @@ def main(argv: list[str]) -> int:
     config = read_options(MakeConfig, "benchmark make", argv)
     chosen = choose(config.size, config.scenes)
     out, left_out, found = console(), [], {}
-    folders = {scene.name: folder_of(config.work, config.size) / scene.name for scene in chosen}
+    folders = {scene.name: config.work / config.size / scene.name for scene in chosen}
     left_s = sum(predicted_s(scene.spec, scene.foam, folders[scene.name], config.work) for scene in chosen)
     out.print(f"{len(chosen)} scenes, about {duration(left_s)} left")
     for number, scene in enumerate(chosen, 1):

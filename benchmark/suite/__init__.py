@@ -1,6 +1,6 @@
 """GoF-Bench: a frozen list of scenes, in sizes, some to develop on and some to be scored on.
 
-A scene is a fire of `gof_benchmark.fires`, or a built-in scene, and how it is seen: `gof_bench_1.json` holds the list
+A scene is a fire of `gof_benchmark.fires`, or a built-in scene, and how it is seen: `gof_bench_2.json` holds the list
 and nothing that a fire's own file says. A suite does not change once it is out: the next one has another number, and
 this one is sealed, as the test fires are.
 """
@@ -12,7 +12,7 @@ import hashlib
 import json
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, ClassVar, Literal
+from typing import Any, ClassVar, Literal, get_args
 
 from gof.core.errors import GofError
 from gof.core.files import read_json
@@ -23,10 +23,9 @@ from gof_benchmark.solvers.openfoam.foam_fire import FoamFire
 from gof_blender.pure.spec import SceneSpec
 
 FOLDER = Path(__file__).parent
-FILE = FOLDER / "gof_bench_1.json"
+FILE = FOLDER / "gof_bench_2.json"
 Size = Literal["preview", "standard", "full"]  # rungs of gof.core.ladder
-SEALED: dict[Size, str] = {"preview": "smoke", "standard": "standard", "full": "paper"}
-"""Names of sizes in the sealed list and truth.json; folders of the version before have these names, too."""
+SIZES: tuple[Size, ...] = get_args(Size)
 
 
 @dataclass(frozen=True)
@@ -35,6 +34,7 @@ class ListedScene:
 
     Attributes:
         fire: "dev/NAME", "test/NAME" or "scenes/NAME", whose spec it is.
+        speeds: of the fire's, where it does not move as the list says: a small jet at physical speeds is a candle.
         background, cameras: what is seen otherwise than in the fire's own spec: the surroundings, and with them the
             light; fields of the rig.
     """
@@ -42,6 +42,7 @@ class ListedScene:
     name: str
     split: Split
     fire: str
+    speeds: str | None = None
     background: str | None = None
     cameras: dict[str, Any] = dataclasses.field(default_factory=dict)
 
@@ -56,13 +57,20 @@ class SuiteSize:
 
 @dataclass(frozen=True)
 class SuiteList:
-    """gof_bench_1.json. `ground_truth`: what every scene has beside its velocities."""
+    """gof_bench_2.json.
+
+    Attributes:
+        fire: fields of every fire that we simulate, whatever its own spec says.   cameras: likewise, of every rig.
+        ground_truth: what every scene has beside its velocities.
+    """
 
     SCHEMA: ClassVar[str] = "gof-suite"
     VERSION: ClassVar[int] = 1
 
     name: str
     sizes: dict[str, SuiteSize]
+    fire: dict[str, Any]
+    cameras: dict[str, Any]
     ground_truth: tuple[str, ...]
     scenes: tuple[ListedScene, ...]
 
@@ -106,7 +114,7 @@ def scenes_of(size: Size, split: Split | Literal["all"] = "all") -> list[SuiteSc
     """
     check_seal(FOLDER)
     listed = read_record(SuiteList, FILE)
-    chosen = listed.sizes[SEALED[size]]
+    chosen = listed.sizes[size]
     burning = _specs()
     return [
         _scene(line, listed, chosen.preset, *burning[line.fire])
@@ -148,12 +156,14 @@ def _specs() -> dict[str, tuple[SceneSpec, FoamFire | None]]:
 def _scene(
     line: ListedScene, listed: SuiteList, preset: str | None, spec: SceneSpec, foam: FoamFire | None
 ) -> SuiteScene:
+    speeds = {"speeds": line.speeds} if line.speeds else {}
     seen = dataclasses.replace(
         spec,
         name=line.name,
+        fire=spec.fire if foam else dataclasses.replace(spec.fire, **listed.fire | speeds),
         ground_truth=listed.ground_truth,
         background=line.background or spec.background,
-        cameras=dataclasses.replace(spec.cameras, **line.cameras),
+        cameras=dataclasses.replace(spec.cameras, **listed.cameras | line.cameras),
     )
     if preset:  # grids end when they end: a fire of grids keeps its clip
         dearer = seen.with_preset(preset)

@@ -4,20 +4,18 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import ClassVar, Literal, get_args
+from typing import ClassVar, Literal
 
 from gof.core.errors import DataFormatError
 from gof.core.files import read_json
 from gof.core.records import read_record
 from gof.dataset import Dataset
 from gof.dataset.pack import Truth
-from gof_benchmark.suite import FOLDER, SEALED, Size, SuiteScene, scenes_of
+from gof_benchmark.suite import FOLDER, SIZES, Size, SuiteScene, scenes_of
 from gof_benchmark.views.shrunk import SHRUNK
 from gof_blender.core.checked_json import SpecError
 from gof_blender.pure.layout import Layout
 from gof_blender.pure.spec import SceneSpec
-
-SIZES: tuple[Size, ...] = get_args(Size)
 
 
 @dataclass(frozen=True)
@@ -57,14 +55,7 @@ def made_scenes(folder: Path, split: str = "all") -> dict[str, MadeScene]:
 
 def size_of(folder: Path) -> Size | None:
     """Return the size whose scenes a folder holds, by its name; None where it is none."""
-    name = folder.resolve().name
-    return next((size for size in SIZES if name in (size, SEALED[size])), None)
-
-
-def folder_of(work: Path, size: Size) -> Path:
-    """Return where the scenes of a size are made: WORK/SIZE, or the folder that the version before has begun."""
-    former = work / SEALED[size]
-    return former if former.is_dir() and not (work / size).is_dir() else work / size
+    return next((size for size in SIZES if size == folder.resolve().name), None)
 
 
 def scene_of(dataset: Path) -> MadeScene:
@@ -103,7 +94,7 @@ Verdict = Literal["same", "not to the bit", "unknown"]
 
 @dataclass(frozen=True)
 class SuiteTruths:
-    """truth.json: `fires[FIRE][SIZE]`, sizes as in SEALED; `made_with`: the programs that made them."""
+    """truth.json: `fires[FIRE][SIZE]`; `made_with`: the programs that made them."""
 
     SCHEMA: ClassVar[str] = "gof-suite-truth"
     VERSION: ClassVar[int] = 1
@@ -115,7 +106,7 @@ class SuiteTruths:
 def compare(scene: SuiteScene, size: Size, dataset: Dataset) -> tuple[Verdict, str]:
     """Return a made scene's truth against the recorded one, and in words."""
     truths = read_record(SuiteTruths, FILE)
-    recorded = truths.fires.get(scene.fire, {}).get(SEALED[size])
+    recorded = truths.fires.get(scene.fire, {}).get(size)
     if recorded is None:
         return "unknown", f"no truth of {scene.fire} is recorded in this size: it has not been made yet"
     differs = Truth.of(dataset).differs(recorded)

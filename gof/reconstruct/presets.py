@@ -40,8 +40,8 @@ class Effort:
 PRESETS: dict[str, Effort] = {
     "toy": Effort(250, 6_000, 32, 160),
     "preview": Effort(2000, 60_000, 72, 320),
-    "standard": Effort(15_000, 120_000, 96, 640),
-    "large": Effort(20_000, 200_000, 112, 960),
+    "standard": Effort(6000, 120_000, 96, 640),
+    "large": Effort(8000, 200_000, 112, 960),
     "full": Effort(30_000, 300_000, 128, 1280),  # the paper's steps and picture size; Gaussians and voxels are ours
 }
 FORMER = {"draft": Effort(10_000, 100_000, 72, 320)}  # for one version

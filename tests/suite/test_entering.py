@@ -86,13 +86,13 @@ def test_one_page_comes_out(work, tmp_path, capsys):
     assert benchmark.main(arguments) == 0
     found = read_record(SuiteBoard, tmp_path / "board.json")
     rows = {row.name: row for row in found.rows}
-    assert found.title == f"GoF-Bench 1, preview, 2 of {len(scenes_of('preview', 'test'))} test scenes, pictures 48x80"
+    assert found.title == f"GoF-Bench 2, preview, 2 of {len(scenes_of('preview', 'test'))} test scenes, pictures 48x80"
     assert (rows["good"].runs, rows["bad"].runs) == (4, 2)
     l2 = {name: rows[name].figures["l2"] for name in ("good", "bad")}
     assert l2["good"].mean < l2["bad"].mean and l2["good"].wins == 2 and l2["good"].seed_sd > 0
     assert "trivial: zero" in rows
     page = (tmp_path / "board.html").read_text()
-    assert "GoF-Bench 1" in page
+    assert "GoF-Bench 2" in page
     assert page.count("cam_1, frame 4 at 0.040 s, held out") == len(SCENES), "the methods' pictures, scene by scene"
     last = {name: page.split(f"<figcaption>{name}</figcaption>")[-1] for name in ("good", "bad")}
     shown = {name: said.split("<figcaption>flame ")[1].split(" dB")[0] for name, said in last.items()}
