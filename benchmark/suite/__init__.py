@@ -60,8 +60,8 @@ class SuiteList:
     """gof_bench_2.json.
 
     Attributes:
-        fire: fields of every fire that we simulate, whatever its own spec says.   cameras: likewise, of every rig.
         ground_truth: what every scene has beside its velocities.
+        fire: fields of every fire that we simulate, whatever its own spec says.   cameras: likewise, of every rig.
     """
 
     SCHEMA: ClassVar[str] = "gof-suite"
@@ -69,10 +69,10 @@ class SuiteList:
 
     name: str
     sizes: dict[str, SuiteSize]
-    fire: dict[str, Any]
-    cameras: dict[str, Any]
     ground_truth: tuple[str, ...]
     scenes: tuple[ListedScene, ...]
+    fire: dict[str, Any] = dataclasses.field(default_factory=dict)
+    cameras: dict[str, Any] = dataclasses.field(default_factory=dict)
 
 
 @dataclass(frozen=True)
