@@ -1,7 +1,7 @@
 """GoF-Bench: a frozen list of scenes, in sizes, some to develop on and some to be scored on.
 
-A scene is a fire of `gof_benchmark.fires`, or a built-in scene, and how it is seen: `gof_bench_2.json` holds the list
-and nothing that a fire's own file says. A suite does not change once it is out: the next one has another number, and
+A scene is a fire of `gof_benchmark.fires`, or a built-in scene, and how it is seen: `gof_bench_2.json` holds the list,
+and how all of its fires shine and move. A suite does not change once it is out: the next one has another number, and
 this one is sealed, as the test fires are.
 """
 
