@@ -1,8 +1,7 @@
-"""A reconstruction out again: OpenVDB files, one for each frame, or a point cache, over the scene's frame range."""
+"""A reconstruction out again: as Gaussians that move as here, as points or as OpenVDB files over the frame range."""
 
-import importlib.util
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import bpy
@@ -17,6 +16,7 @@ from ..scene import exchange, point_cloud
 from .panel import number
 
 FINENESS = 96  # voxels along the longest side, where no size is given
+RESULTS = (".npz", ".ply")  # files of moving Gaussians
 
 
 @dataclass(frozen=True)
@@ -59,6 +59,29 @@ class Recording:
         """(F,)"""
         return self.time_s(self.frames)
 
+    def moved_to(self, world: np.ndarray) -> GaussianCloud:
+        """Return the Gaussians that are drawn, in another world, on the scene's clock: 0 s is its first frame.
+
+        Args:
+            world: similarity (4, 4) from the cloud's own metres.
+        Raises:
+            DataFormatError: they are stills, or time stands still.   GofError: no similarity.
+        """
+        pace = self.time_scale
+        if self.cloud.begin is not None:
+            raise DataFormatError("these are stills, one after another, and nothing in them moves: write .usdc or .abc")
+        if not pace:
+            raise DataFormatError("Time Scale is 0, so nothing moves: set it, or write .usdc or .abc")
+        cloud = self.cloud[self.cloud.opacity >= self.least].transformed(world)
+        return replace(
+            cloud,
+            t_mu=(self.start - self.frames[0]) / self.rate + cloud.t_mu / np.float64(pace),
+            t_sigma=cloud.t_sigma / abs(pace),
+            velocity=cloud.velocity * pace,
+            gas_velocity=cloud.moving_gas * pace,
+            velocity_sd=cloud.velocity_sd * abs(pace),
+        )
+
 
 class _CloudExport(ExportHelper):
     """An export of the active reconstruction."""
@@ -85,8 +108,8 @@ class _CloudExport(ExportHelper):
 
     @staticmethod
     def why_not() -> str | None:
-        """Why this Blender cannot write such files, if it cannot."""
-        raise NotImplementedError
+        """Why this Blender can write no such file, if it cannot."""
+        return None
 
     def write(self, context, thing: bpy.types.Object, path: Path) -> str:
         """Write the files; returns a line for the user."""
@@ -139,30 +162,29 @@ class GOF_OT_export_vdb(_CloudExport, bpy.types.Operator):
 
 
 class GOF_OT_export_points(_CloudExport, bpy.types.Operator):
-    """Write the selected reconstruction as points with velocities for other programs: one USD or Alembic file"""
+    """Write the selected reconstruction into one file: .npz or .ply as moving Gaussians, USD or Alembic as points"""
 
     bl_idname = "gof.export_points"
     bl_label = "Export Points"
 
     filename_ext = ".usdc"
     check_extension = None  # the name says which of the formats
-    filter_glob: bpy.props.StringProperty(default="*.usd;*.usdc;*.usda;*.abc", options={"HIDDEN"})
-
-    @staticmethod
-    def why_not() -> str | None:
-        _find_packages()
-        if importlib.util.find_spec("pxr") or bpy.app.build_options.alembic:
-            return None
-        return "This Blender can write neither USD nor Alembic: use 4.2 or later, of blender.org"
+    filter_glob: bpy.props.StringProperty(default="*.npz;*.ply;*.usd;*.usdc;*.usda;*.abc", options={"HIDDEN"})
 
     def write(self, context, thing, path):
         scene = context.scene
-        if path.suffix.lower() == ".abc":
+        suffix = path.suffix.lower()
+        if suffix in RESULTS:
+            metres = np.diag([scene.unit_settings.scale_length] * 3 + [1.0])
+            moving = Recording.of(scene, thing).moved_to(metres @ np.array(thing.matrix_world))
+            moving.save(path, source=thing.name)
+            return f"{len(moving)} Gaussians: {path}"
+        if suffix == ".abc":
             exchange.write_points(path, thing, scene.frame_start, scene.frame_end)
-        elif path.suffix.lower() in usd_points.SUFFIXES:
+        elif suffix in usd_points.SUFFIXES:
             self._usd(scene, thing, path)
         else:
-            raise DataFormatError(f"{path.name}: the name must end in .usd, .usdc, .usda or .abc")
+            raise DataFormatError(f"{path.name}: the name must end in .npz, .ply, .usd, .usdc, .usda or .abc")
         return f"Frames {scene.frame_start} to {scene.frame_end}: {path}"
 
     @staticmethod

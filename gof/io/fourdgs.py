@@ -41,8 +41,8 @@ BAND_COLUMNS = {1: (1, 4), 2: (4, 9), 3: (9, 16)}  # coefficients of a band of h
 SH_REACH = 4.0  # coefficients are bytes over [-4, 4]
 NEVER_FADES = 1  # bit of FLAGS
 LIBRARY = "gaussians-on-fire"
-POSITION_SHARE = 0.06  # pitch of places, of the median size
-GAS_PITCH, SPREAD_PITCH = 0.02, 0.1  # m/s, and of the logarithm; the gas is known to some 0.5 m/s
+POSITION_SHARE = 0.1  # pitch of places, of the median size
+GAS_PITCH, SPREAD_PITCH = 0.05, 0.1  # m/s, and of the logarithm; the gas is known to some 0.5 m/s
 CUTOFF = 1 / 255  # of the fade: what is fainter no 8-bit picture shows
 START, DATUM, EMISSIVE, SOURCE = "gof_start_s", "gof_datum", "gof_emissive", "source"  # keys of the header's attributes
 
@@ -57,9 +57,9 @@ class Grid:
     """
 
     pos: float
-    scale_log: float = 2 * np.log1p(0.02)
-    rot: float = 0.014
-    rgb: float = 2 / 255
+    scale_log: float = 2 * np.log1p(0.03)
+    rot: float = 0.02
+    rgb: float = 3 / 255
     alpha: float = 2 / 255
     motion: float = 0.008
     time: float = 0.0004

@@ -100,12 +100,20 @@ def back(folder):
         WRITE
         + READ
         + """
-for name in ("out.usdc", "out.abc"):
+for name in ("out.usdc", "out.abc", "out.npz", "out.ply"):
     result[name + " said"] = list(bpy.ops.gof.export_points(filepath=f"{folder}/{name}"))
 try:
     bpy.ops.gof.export_points(filepath=folder + "/out.obj")
 except RuntimeError as error:
     result["other"] = str(error)
+thing.rotation_euler[2], thing.scale = np.pi / 2, (2.0, 2.0, 2.0)
+bpy.context.view_layer.update()
+bpy.ops.gof.export_points(filepath=folder + "/turned.npz")
+settings["Time Scale"] = 0.0
+try:
+    bpy.ops.gof.export_points(filepath=folder + "/still.npz")
+except RuntimeError as error:
+    result["still"] = str(error)
 result["after"] = [settings["Mode"], settings["Share"], len(bpy.data.objects), bpy.context.object == thing]
 from pxr import Usd, UsdGeom
 stage = Usd.Stage.Open(folder + "/out.usdc")
@@ -134,6 +142,31 @@ def test_places_and_velocities_are_those_of_the_formulas(back, flame, kind):
         assert 15 < len(seen) < N, "some must be seen and some not"
         np.testing.assert_allclose(found["position"], place, atol=2e-6)
         np.testing.assert_allclose(found["velocity"], velocity, atol=2e-6)
+
+
+@pytest.mark.blender
+@pytest.mark.parametrize("name", ["out.npz", "out.ply"])
+def test_moving_gaussians_go_as_in_the_scene(back, folder, flame, name):
+    """Read by gof: at the time of a frame, counted from the scene's first, they are where the formulas say."""
+    moved = TransientGaussians.load(folder / name)
+    assert len(moved) == N
+    for frame in range(FIRST, LAST + 1):
+        seen, place, velocity = truth(flame, frame)
+        position, opacity = moved.at((frame - FIRST) / RATE)
+        np.testing.assert_array_equal(np.flatnonzero(opacity >= 1 / 255), seen)
+        np.testing.assert_allclose(position[seen], place, atol=2e-6)
+        np.testing.assert_allclose(moved.moving_gas[seen], velocity, atol=2e-6)
+
+
+@pytest.mark.blender
+def test_a_turned_and_scaled_cloud_is_written_where_it_stands(back, folder, flame):
+    """A quarter turn about z and twice the size: (x, y, z) goes to 2 (-y, x, z) from the object's place."""
+    turned, place = TransientGaussians.load(folder / "turned.npz"), flame["position"]
+    x, y, z = place.T
+    np.testing.assert_allclose(turned.position, 2 * np.stack([-y, x, z], 1) + [1, 2, 3], atol=2e-6)
+    np.testing.assert_allclose(turned.scale, 2 * flame["scale"], rtol=1e-5)
+    u, v, w = (TIME_SCALE * flame["velocity"] * flame["dynamic"][:, None]).T
+    np.testing.assert_allclose(turned.moving_gas, 2 * np.stack([-v, u, w], 1), atol=2e-6)
 
 
 @pytest.mark.blender
@@ -178,10 +211,19 @@ def test_values_of_the_gaussians_go_along(back, flame):
 
 @pytest.mark.blender
 def test_the_scene_is_left_as_it_was(back):
-    assert back["out.usdc said"] == back["out.abc said"] == ["FINISHED"]
+    for name in ("out.usdc", "out.abc", "out.npz", "out.ply"):
+        assert back[f"{name} said"] == ["FINISHED"]
     assert back["after"] == [2, 0.5, 8, True], "the cloud with four lamps, and the three objects of a new file"
-    assert back["left"] == ["out.abc", "out.usdc", "result.npz"], "nothing half-made stays"
+    assert back["left"] == [
+        "out.abc",
+        "out.npz",
+        "out.ply",
+        "out.usdc",
+        "result.npz",
+        "turned.npz",
+    ], "nothing half-made stays"
     assert ".usdc, .usda or .abc" in back["other"]
+    assert "Time Scale is 0" in back["still"]
 
 
 @pytest.mark.blender

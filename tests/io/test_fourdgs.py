@@ -64,12 +64,12 @@ def test_what_comes_back_is_within_the_declared_errors(tmp_path):
     imported = read_result(path)
     back = imported.gaussians
     assert imported.method == "gof" and not imported.notes
-    near = {"position": 0.03 * np.median(g.scale) + 1e-6, "opacity": 1 / 255, "color": 1 / 255, "gas_velocity": 0.0101}
+    near = {"position": 0.05 * np.median(g.scale) + 1e-6, "opacity": 1 / 255, "color": 1.5 / 255, "gas_velocity": 0.0251}
     for name, most in near.items():
         assert np.abs(getattr(back, name) - getattr(g, name)).max() <= most + 1e-6, name
     live = g.dynamic & np.isfinite(g.t_sigma)
     for name, rows, most in (
-        ("scale", slice(None), 0.02),
+        ("scale", slice(None), 0.03),
         ("t_sigma", live, 0.01),
         ("velocity_sd", slice(None), 0.052),
     ):
@@ -97,7 +97,7 @@ def test_harmonics_datum_and_clock_come_back(tmp_path):
     assert np.abs(back.t_mu - g.t_mu - 2.0)[g.dynamic].max() < 0.0003
     assert np.abs(back.color[:, 1:] - np.clip(g.color[:, 1:], -4, 4)).max() <= 4 / 255 + 1e-6
     plain = np.clip(0.5 + C0 * g.color[:, 0], 0, 1)
-    assert np.abs(0.5 + C0 * back.color[:, 0] - plain).max() <= 1 / 255 + 1e-6
+    assert np.abs(0.5 + C0 * back.color[:, 0] - plain).max() <= 1.5 / 255 + 1e-6
 
 
 def test_a_file_of_the_formats_own_encoder_is_read(tmp_path):
