@@ -65,16 +65,12 @@ def main(argv: list[str] | None = None) -> None:
 
 
 CHOICES: dict[str, Find] = {
-    "plain EM, even start": partial(find_emission, rounded=False),
-    "plain EM, round start": find_emission,
+    "even start": partial(find_emission, rounded=False),
+    "round start": find_emission,
     "compact": find_compact_emission,
-    "compact, power 1": partial(find_compact_emission, power=1.0),
-    "compact, power 1.1": partial(find_compact_emission, power=1.1),
-    "compact, power 1.2": partial(find_compact_emission, power=1.2),
-    "compact, not smoothed": partial(find_compact_emission, smooth=1e-3),
-    "compact, smoothed by 0.75": partial(find_compact_emission, smooth=0.75),
-    "compact, start as wide as the views": partial(find_compact_emission, wider=1.0),
-    "compact, even start": partial(find_compact_emission, wider=1e3),
+    **{f"compact, {n} times all around": partial(find_compact_emission, turns=n) for n in (0, 1, 4)},
+    **{f"compact, power {power}": partial(find_compact_emission, power=power) for power in (1.0, 1.05, 1.15)},
+    **{f"compact, smoothed by {width}": partial(find_compact_emission, smooth=width) for width in (1e-3, 0.6)},
 }
 
 

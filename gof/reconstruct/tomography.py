@@ -8,9 +8,12 @@ import numpy as np
 
 from gof.reconstruct.voxels import FlameVoxels
 
-SMOOTH = 0.6  # voxels, std-dev by which a compact flame is smoothed between two iterations
-POWER = 1.15  # that draws its light together in each; 1 leaves the hull's streaks along the rays
-WIDER = 2.0  # times a round flame's depth: so deep it starts, as it is drawn together
+UP = np.array([0.0, 0.0, 1.0])
+TURNS = 2  # times that a flame is found again from what it is on the average all around its axis
+POOLED = 1.5  # layers, std-dev over which its middle is found
+BETWEEN = (0.7, 0.5)  # layers and rings, std-dev over which their means are smoothed: a grid's rings are jagged
+SMOOTH = 0.4  # voxels, std-dev by which a compact flame is smoothed between two iterations
+POWER = 1.1  # that draws its light together in each; 1 leaves more of it along the rays
 NEAR = 3.0  # voxels, std-dev: light so near to each other has its middle at the same depth
 OUTLINE = 0.15  # of the light around it: what is darker is outside a lick's outline
 FAINTEST = 40.0  # squared distances in std-devs beyond this are all the same; nothing in the hull is ruled out
@@ -57,32 +60,68 @@ def find_compact_emission(
     voxels: FlameVoxels,
     intensity: np.ndarray,
     mask: np.ndarray,
+    turns: int = TURNS,
     smooth: float = SMOOTH,
     power: float = POWER,
-    wider: float = WIDER,
     iterations: int = 12,
 ) -> np.ndarray:
-    """Emission per voxel of one frame, smooth and no longer along the rays than the views ask for.
+    """Emission per voxel of one frame, which also looks like a flame from where no camera stood.
 
-    Many lights agree with a few views. Plain EM keeps the streaks of its start along the rays, and fits noise by
-    thin ones. So light is smoothed between its iterations (Silverman, Jones, Wilson & Nychka 1990), and raised to a
-    power a little above 1, which draws it together: where views from several sides support each other it grows, and
-    what lies along one ray alone dies out. Figures of each choice: `python -m gof_benchmark.evidence.tomography`.
+    Many lights agree with a few views; the one closest to a start is found. So it is done again from what the flame is
+    on the average all around its axis (`turn_around`): whether it is filled or hollow, and how it fades outward, its
+    views say for the sides that they do not see. Then its light is drawn together: smoothed a little between half as
+    many iterations (Silverman, Jones, Wilson & Nychka 1990), and raised to a power a little above 1, by which it grows
+    where views from several sides support each other, and what lies along one ray alone dies out. Figures of each
+    choice: `python -m gof_benchmark.evidence.tomography`.
 
-    Args and returns: as `find_emission`; smooth, power, wider: see above.
+    Args and returns: as `find_emission`; turns: so often all around; smooth, power: see above.
     """
     from scipy.ndimage import gaussian_filter  # here: it takes long to load
 
-    hull, views = _hull_and_views(voxels, intensity, mask)
-    emission = _maximise(hull.astype(np.float64), views, iterations)
+    emission = find_emission(voxels, intensity, mask, iterations=iterations)
     if not emission.any():
         return emission
-    emission = hull * round_flame(voxels, emission) ** (1 / wider**2)
+    hull, views = _hull_and_views(voxels, intensity, mask)
+    for _ in range(turns):
+        emission = _maximise(turn_around(voxels, emission, hull), views, iterations)
     cells, grid = tuple(voxels.index.T), np.zeros(voxels.resolution)
-    for _ in range(iterations):
+    for _ in range(iterations // 2):
         grid[cells] = _maximise(emission, views, 1) ** power
         emission = hull * gaussian_filter(grid, smooth, mode="constant")[cells]
     return _in_unit(emission, views)
+
+
+def turn_around(voxels: FlameVoxels, emission: np.ndarray, hull: np.ndarray) -> np.ndarray:
+    """Return (V,) the mean emission as far from its flame's middle, at the same height (+z is up).
+
+    Flames that burn side by side have a middle each; that of a flame may wander from height to height.
+
+    Args:
+        emission: (V,) >= 0, some of it > 0.   hull: (V,) bool, voxels that the mean is of.
+    """
+    from scipy.ndimage import gaussian_filter, gaussian_filter1d  # here: it takes long to load
+
+    from gof.reconstruct.spots import part_flames
+
+    flame, layer = part_flames(voxels, emission, UP), voxels.index[:, 2]
+    size = flame.max() + 1, layer.max() + 1, int(np.hypot(*voxels.resolution[:2])) + 2
+
+    def pool(values: np.ndarray) -> np.ndarray:
+        sums = np.bincount(flame * size[1] + layer, values, size[0] * size[1]).reshape(size[:2])
+        return gaussian_filter1d(sums, POOLED, axis=1)
+
+    light = np.maximum(pool(emission), np.finfo(np.float64).tiny)
+    middle = np.stack([pool(emission * place) / light for place in voxels.center[:, :2].T], -1)
+    away = np.linalg.norm(voxels.center[:, :2] - middle[flame, layer], axis=1) / voxels.voxel_size
+    ring = np.minimum(np.rint(away).astype(np.int64), size[2] - 1)
+    place = np.ravel_multi_index((flame, layer, ring), size)
+
+    def smoothed(values: np.ndarray) -> np.ndarray:
+        sums = np.bincount(place, values, np.prod(size)).reshape(size)
+        return gaussian_filter(sums, (0, *BETWEEN)).ravel()[place]
+
+    count = smoothed(hull.astype(np.float64))
+    return np.where(hull, smoothed(np.where(hull, emission, 0)) / np.where(hull, count, 1), 0)
 
 
 def _hull_and_views(

@@ -64,7 +64,12 @@ def test_what_comes_back_is_within_the_declared_errors(tmp_path):
     imported = read_result(path)
     back = imported.gaussians
     assert imported.method == "gof" and not imported.notes
-    near = {"position": 0.05 * np.median(g.scale) + 1e-6, "opacity": 1 / 255, "color": 1.5 / 255, "gas_velocity": 0.0251}
+    near = {
+        "position": 0.05 * np.median(g.scale) + 1e-6,
+        "opacity": 1 / 255,
+        "color": 1.5 / 255,
+        "gas_velocity": 0.0251,
+    }
     for name, most in near.items():
         assert np.abs(getattr(back, name) - getattr(g, name)).max() <= most + 1e-6, name
     live = g.dynamic & np.isfinite(g.t_sigma)

@@ -14,6 +14,7 @@ from gof.reconstruct.tomography import (
     find_emission,
     round_flame,
     tomography,
+    turn_around,
 )
 from gof.reconstruct.voxels import carve, flame_box
 from tests.conftest import arc, look_at
@@ -215,6 +216,40 @@ def test_light_is_where_two_balls_are(count):
         for find in (partial(find_emission, rounded=False), find_emission, find_compact_emission)
     )
     assert min(plain, compact) > max(0.96, even + 0.02)
+
+
+def test_a_hollow_flame_is_found_hollow():
+    """A shell of light between two balls, by exact path lengths: its core is dark, which a round start fills."""
+    cameras, middle, outer, inner = arc(3), np.array([0.05, -0.1, 1.0]), 0.25, 0.18
+    masks, lengths = ball(cameras, middle, outer)
+    lengths = lengths - ball(cameras, middle, inner)[1]
+    voxels = carve(cameras, masks[None], 40)
+    away = np.linalg.norm(voxels.center - middle, axis=1)
+    true = ((away < outer) & (away > inner)).astype(float)
+    core = away < inner - voxels.voxel_size
+
+    def judge(find):
+        found = find(voxels, lengths, masks)
+        found /= found.sum()
+        return np.linalg.norm(found - true / true.sum()) / np.linalg.norm(true / true.sum()), found[core].sum()
+
+    (off, filled), (near, hollow) = judge(find_emission), judge(find_compact_emission)
+    assert near < 0.9 * off and hollow < 0.7 * filled, (off, near, filled, hollow)
+
+
+def test_the_mean_all_around_is_of_each_flame_alone():
+    """Two columns a metre apart, one of them lit on one side only: its light goes all around it, none to the other."""
+    cameras, masks, _, middles, radius = two_balls(3)
+    voxels = carve(cameras, masks[None], 40)
+    away = np.linalg.norm(voxels.center[:, None] - middles, axis=-1)
+    hull = (away < radius).any(1)
+    light = hull * np.where((away[:, 0] < radius) & (voxels.center[:, 1] > middles[0, 1]), 1.0, 0.5)
+    turned = turn_around(voxels, light, hull)
+    assert not turned[~hull].any() and turned.sum() == pytest.approx(light.sum(), rel=0.05)
+    for near in away.T < radius:
+        assert turned[near].sum() == pytest.approx(light[near].sum(), rel=0.05)
+    front, back = ((away[:, 0] < radius) & (sign * (voxels.center[:, 1] - middles[0, 1]) > 0) for sign in (1, -1))
+    assert turned[front].mean() / turned[back].mean() < 1.25, "2 before"
 
 
 def test_compact_light_is_in_the_views_own_unit():
