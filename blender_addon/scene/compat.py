@@ -20,6 +20,18 @@ def has_function(kind: str, name: str) -> bool:
     return rna is not None and name in rna.functions
 
 
+def curves(thing: bpy.types.Object) -> list[bpy.types.FCurve]:
+    """Return the curves of what is keyed on an object itself; none where nothing is."""
+    action = thing.animation_data.action if thing.animation_data else None
+    if action is None:
+        return []
+    if hasattr(action, "fcurves"):  # until Blender 4.5
+        return list(action.fcurves)
+    return [
+        curve for layer in action.layers for strip in layer.strips for bag in strip.channelbags for curve in bag.fcurves
+    ]
+
+
 def add_nodes(block: bpy.types.Material | bpy.types.World) -> bpy.types.NodeTree:
     """Return the node tree of a material or a world that was just made."""
     if block.node_tree is None:  # from Blender 5 on each is made with one, and `use_nodes` is to go

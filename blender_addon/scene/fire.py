@@ -8,7 +8,7 @@ import bpy
 import numpy as np
 
 from ..pure.spec import SceneSpec
-from . import effects, mantaflow, material, meshes
+from . import compat, effects, mantaflow, material, meshes
 from .fire_objects import FLAME_NAME, FireObjects
 
 
@@ -127,16 +127,8 @@ def _emitter(spec: SceneSpec, collection: bpy.types.Collection) -> bpy.types.Obj
     for frame in (1, last) if spec.fire.speeds == "solver" else range(1, last + 1):
         flow.texture_offset = offset + 4.0 * spec.solver.drift * spec.timeline.solver_step_s * (frame - 1)
         emitter.keyframe_insert(f'modifiers["{modifier.name}"].flow_settings.texture_offset', frame=frame)
-    for curve in _curves(emitter.animation_data.action):
+    for curve in compat.curves(emitter):
         for key in curve.keyframe_points:
             key.interpolation = "LINEAR"
     mantaflow.wait_for_keys(emitter)
     return emitter
-
-
-def _curves(action: bpy.types.Action) -> list[bpy.types.FCurve]:
-    if hasattr(action, "fcurves"):  # until Blender 4.5
-        return list(action.fcurves)
-    return [
-        curve for layer in action.layers for strip in layer.strips for bag in strip.channelbags for curve in bag.fcurves
-    ]

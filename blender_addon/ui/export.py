@@ -12,7 +12,7 @@ from ..core.errors import DataFormatError, GofError
 from ..pure import voxels
 from ..pure.io import usd_points, vdb_file
 from ..pure.io.cloud import GaussianCloud
-from ..scene import exchange, point_cloud
+from ..scene import compat, exchange, point_cloud
 from .panel import number
 
 FINENESS = 96  # voxels along the longest side, where no size is given
@@ -32,8 +32,18 @@ class Recording:
 
     @classmethod
     def of(cls, scene: bpy.types.Scene, thing: bpy.types.Object) -> "Recording":
-        """Read the settings in the .blend, without any other file. Raises DataFormatError: it holds too little."""
-        rate, settings, cloud = scene.render.fps / scene.render.fps_base, point_cloud.inputs(thing), None
+        """Read the settings in the .blend, without any other file.
+
+        Raises:
+            DataFormatError: it holds too little, or time or place are keyed: such a recording has one of each.
+        """
+        settings = point_cloud.inputs(thing)
+        paths = {settings.path(name): name for name in ("Start Frame", "Time Scale", "Opacity Cut")}
+        paths |= {f"rotation_{kind}": "rotation" for kind in ("euler", "quaternion", "axis_angle")}
+        paths |= {name: name for name in ("location", "scale")}
+        if keyed := sorted({paths[curve.data_path] for curve in compat.curves(thing) if curve.data_path in paths}):
+            raise DataFormatError(f"{thing.name}: {', '.join(keyed)} keyed: remove those keys, or write .abc")
+        rate, cloud = scene.render.fps / scene.render.fps_base, None
         if thing.type == "MESH":
             cloud = point_cloud.cloud_of(thing)
         if cloud is None:
@@ -73,12 +83,14 @@ class Recording:
         if not pace:
             raise DataFormatError("Time Scale is 0, so nothing moves: set it, or write .usdc or .abc")
         cloud = self.cloud[self.cloud.opacity >= self.least].transformed(world)
+        light = np.where(cloud.dynamic[:, None], cloud.velocity, 0)
+        known = not np.array_equal(cloud.moving_gas, light)  # the .blend has the light's where a result has no gas'
         return replace(
             cloud,
             t_mu=(self.start - self.frames[0]) / self.rate + cloud.t_mu / np.float64(pace),
             t_sigma=cloud.t_sigma / abs(pace),
             velocity=cloud.velocity * pace,
-            gas_velocity=cloud.moving_gas * pace,
+            gas_velocity=cloud.moving_gas * pace if known else None,
             velocity_sd=cloud.velocity_sd * abs(pace),
         )
 

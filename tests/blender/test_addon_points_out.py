@@ -109,6 +109,14 @@ except RuntimeError as error:
 thing.rotation_euler[2], thing.scale = np.pi / 2, (2.0, 2.0, 2.0)
 bpy.context.view_layer.update()
 bpy.ops.gof.export_points(filepath=folder + "/turned.npz")
+thing.keyframe_insert(settings.path("Time Scale"), frame=3)
+thing.keyframe_insert("location", frame=3)
+for name in ("keyed.npz", "keyed.usdc"):
+    try:
+        bpy.ops.gof.export_points(filepath=f"{folder}/{name}")
+    except RuntimeError as error:
+        result[name] = str(error)
+thing.animation_data_clear()
 settings["Time Scale"] = 0.0
 try:
     bpy.ops.gof.export_points(filepath=folder + "/still.npz")
@@ -149,7 +157,7 @@ def test_places_and_velocities_are_those_of_the_formulas(back, flame, kind):
 def test_moving_gaussians_go_as_in_the_scene(back, folder, flame, name):
     """Read by gof: at the time of a frame, counted from the scene's first, they are where the formulas say."""
     moved = TransientGaussians.load(folder / name)
-    assert len(moved) == N
+    assert len(moved) == N and moved.gas_velocity is None, "the result says nothing of the gas"
     for frame in range(FIRST, LAST + 1):
         seen, place, velocity = truth(flame, frame)
         position, opacity = moved.at((frame - FIRST) / RATE)
@@ -224,6 +232,8 @@ def test_the_scene_is_left_as_it_was(back):
     ], "nothing half-made stays"
     assert ".usdc, .usda or .abc" in back["other"]
     assert "Time Scale is 0" in back["still"]
+    for name in ("keyed.npz", "keyed.usdc"):
+        assert "Time Scale, location keyed: remove those keys, or write .abc" in back[name]
 
 
 @pytest.mark.blender
