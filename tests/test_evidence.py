@@ -102,7 +102,8 @@ def test_kept_figures_say_where_they_are_from(tmp_path):
     about = json.loads((tmp_path / "rows.json").read_text())
     assert about["command"] == "gof study score" and re.fullmatch(r"\d{4}-\d\d-\d\d", about["date"])
     assert evidence.wrong_quotes("4.6<!-- evidence: rows / a, 30 / off (us) --> us", tmp_path) == []
-    assert evidence.caption("rows", tmp_path) == f"`gof study score`, commit HEAD of {about['date']}"
+    assert re.fullmatch(r"[0-9a-f]{7,40}", about["commit"])
+    assert evidence.caption("rows", tmp_path) == f"`gof study score`, commit {about['commit']} of {about['date']}"
 
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda p: str(p.relative_to(ROOT)))

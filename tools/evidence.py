@@ -110,7 +110,7 @@ def keep(name: str, tables: str, command: str, commit: str, folder: Path = FOLDE
         "schema": SCHEMA,
         "version": VERSION,
         "command": command,
-        "commit": commit,
+        "commit": _git("rev-parse", "--short", commit),  # HEAD is another one tomorrow
         "date": _git("show", "--no-patch", "--format=%as", commit),
         "cpu": None,
         "seconds": None,

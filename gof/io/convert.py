@@ -8,16 +8,16 @@ from pathlib import Path
 import numpy as np
 
 from gof.core import ftgs
-from gof.core.cameras import Camera
 from gof.core.drafts import whole_folder
 from gof.core.errors import DataFormatError, NonFiniteError
-from gof.core.gaussians import VISIBLE, TransientGaussians
+from gof.core.gaussians import TransientGaussians
 from gof.core.ply import splat_columns, write
 from gof.host.options import require_number
 from gof.io import compressed, dgs, fourdgs, gltf, tsog, usd
 from gof.io.importers import Imported, ImportOptions, gof_files, read_result
 from gof.io.importers.sidecar import file_of, write_said
 from gof.io.into_room import put_into_room
+from gof.io.losses import measure_loss
 
 MOVING = {".4dgs": fourdgs, tsog.SUFFIX: tsog, dgs.SUFFIX: dgs}  # suffixes of formats that hold what ours do, rounded
 FRAMES = ("", *usd.SUFFIXES)  # suffixes of formats that hold one frame after another
@@ -190,7 +190,7 @@ def _save_moving(gaussians: TransientGaussians, out: Path, start_s: float, end_s
         f"{sizes}; {clock}",
         *(_measured(gaussians) if timeless else []),
         *MOVING[out.suffix].losses(gaussians),
-        what_is_kept(gaussians[order], back, start_s, end_s),
+        str(measure_loss(gaussians[order], back, start_s, end_s)),
     ]
 
 
@@ -210,7 +210,7 @@ def _save_usd(
         assert isinstance(back, TransientGaussians)
         if color_at is not None:  # what is read has the colours of the first frame
             gaussians = replace(gaussians, color=color_at(start_s))
-        notes.append(what_is_kept(gaussians[seen], back, start_s, end_s))
+        notes.append(str(measure_loss(gaussians[seen], back, start_s, end_s)))
     return notes
 
 
@@ -281,64 +281,3 @@ def save_frames(
                 [f"state at {time_s:.6f} s", "units: metres; world frame, Z up"],
             )
     return [f"{len(times)} files of {len(g):,} Gaussians, {1e3 * step_s:g} ms apart from {start_s:g} s on"]
-
-
-# ----------------------------------------------------------------
-# What a lossy file keeps of a result: how far pictures, places and velocities are from those it was made of.
-
-SIDE_PX, FOCAL_PX = 400, 800.0
-INSTANTS = (0.25, 0.5, 0.75)  # of the clip
-LIT = 0.02  # display value from which a pixel shows something
-
-
-def what_is_kept(before: TransientGaussians, after: TransientGaussians, start_s: float, end_s: float) -> str:
-    """Return in words how far Gaussians are from the same ones before, row by row: dB, mm and mm/s.
-
-    Pictures are compared where either shows something, from the front, at three instants of the clip, by the PSNR of
-    display values within [0, 1].
-    """
-    place = 1e3 * np.linalg.norm(after.position - before.position, axis=1)
-    words = [f"places are {np.sqrt(np.mean(place**2)):.2g} mm off (rms; at most {place.max():.2g})"]
-    for name, label in (("velocity", "velocities"), ("gas_velocity", "those of the gas")):
-        one, other = getattr(before, name), getattr(after, name)
-        if one is not None and other is not None and before.dynamic.any():
-            off = 1e3 * np.linalg.norm(other - one, axis=1)[before.dynamic]
-            words.append(f"{label} {np.sqrt(np.mean(off**2)):.2g} mm/s (rms; at most {off.max():.2g})")
-    psnr = _psnr(before, after, [start_s + share * (end_s - start_s) for share in INSTANTS])
-    return f"compared with what was written: {', '.join(words)}; pictures from the front " + (
-        "show nothing then" if psnr is None else f"agree to {psnr:.1f} dB"
-    )
-
-
-def _psnr(before: TransientGaussians, after: TransientGaussians, times_s: list[float]) -> float | None:
-    """Return dB, inf where nothing differs, None where nothing is seen."""
-    from gof.render import render
-
-    squares = []
-    for time_s in times_s:
-        camera = _front(before, time_s)
-        if camera is None:
-            continue
-        one, other = (np.clip(render(g, camera, time_s)["color"], 0, 1) for g in (before, after))
-        lit = np.maximum(one, other).max(-1) > LIT
-        squares.append(((one - other)[lit] ** 2).reshape(-1))
-    off = np.concatenate(squares) if squares else np.zeros(0)
-    if not len(off):
-        return None
-    return float(-10 * np.log10(off.mean())) if off.any() else float("inf")
-
-
-def _front(g: TransientGaussians, time_s: float) -> Camera | None:
-    """Return a camera that looks along +y at most of what is seen at a time; None where nothing is."""
-    position, opacity = g.at(time_s)
-    seen = position[opacity >= VISIBLE]
-    if not len(seen):
-        return None
-    low, high = np.percentile(seen.astype(np.float64), [2, 98], axis=0)
-    middle, reach = (low + high) / 2, max(float((high - low).max()) / 2, 1e-3)
-    rows = np.array([[1.0, 0, 0], [0, 0, -1.0], [0, 1.0, 0]])
-    pose = np.eye(4)
-    pose[:3, :3] = rows
-    pose[:3, 3] = -rows @ (middle - [0, 2.5 * reach * FOCAL_PX / (SIDE_PX / 2), 0])
-    K = np.array([[FOCAL_PX, 0, SIDE_PX / 2], [0, FOCAL_PX, SIDE_PX / 2], [0, 0, 1]])
-    return Camera("front", SIDE_PX, SIDE_PX, K, pose)
