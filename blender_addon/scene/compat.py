@@ -21,10 +21,16 @@ def has_function(kind: str, name: str) -> bool:
 
 
 def curves(thing: bpy.types.Object) -> list[bpy.types.FCurve]:
-    """Return the curves of what is keyed on an object itself; none where nothing is."""
-    action = thing.animation_data.action if thing.animation_data else None
-    if action is None:
+    """Return the curves of what is keyed or driven on an object itself, strips of the NLA among it; none where nothing
+    is."""
+    data = thing.animation_data
+    if data is None:
         return []
+    strips = [strip.action for track in data.nla_tracks if not track.mute for strip in track.strips if not strip.mute]
+    return [*data.drivers, *(curve for action in (data.action, *strips) if action for curve in _curves_of(action))]
+
+
+def _curves_of(action: bpy.types.Action) -> list[bpy.types.FCurve]:
     if hasattr(action, "fcurves"):  # until Blender 4.5
         return list(action.fcurves)
     return [

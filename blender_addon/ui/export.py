@@ -35,14 +35,15 @@ class Recording:
         """Read the settings in the .blend, without any other file.
 
         Raises:
-            DataFormatError: it holds too little, or time or place are keyed: such a recording has one of each.
+            DataFormatError: it holds too little, or time or place may change: such a recording has one of each.
         """
         settings = point_cloud.inputs(thing)
-        paths = {settings.path(name): name for name in ("Start Frame", "Time Scale", "Opacity Cut")}
-        paths |= {f"rotation_{kind}": "rotation" for kind in ("euler", "quaternion", "axis_angle")}
-        paths |= {name: name for name in ("location", "scale")}
-        if keyed := sorted({paths[curve.data_path] for curve in compat.curves(thing) if curve.data_path in paths}):
-            raise DataFormatError(f"{thing.name}: {', '.join(keyed)} keyed: remove those keys, or write .abc")
+        clock = {settings.path(name): name for name in ("Start Frame", "Time Scale", "Opacity Cut")}
+        if moving := sorted({*_keyed(thing, clock), *_moves(thing)}):
+            raise DataFormatError(
+                f"{thing.name}: {', '.join(moving)} may change over time: remove what keys, drives or binds it, or "
+                "write .abc"
+            )
         rate, cloud = scene.render.fps / scene.render.fps_base, None
         if thing.type == "MESH":
             cloud = point_cloud.cloud_of(thing)
@@ -93,6 +94,25 @@ class Recording:
             gas_velocity=cloud.moving_gas * pace if known else None,
             velocity_sd=cloud.velocity_sd * abs(pace),
         )
+
+
+def _keyed(thing: bpy.types.Object, paths: dict[str, str]) -> list[str]:
+    """Return which of some properties, by their paths, are keyed or driven on an object."""
+    return [paths[curve.data_path] for curve in compat.curves(thing) if curve.data_path in paths]
+
+
+def _moves(thing: bpy.types.Object) -> Iterator[str]:
+    """Yield what may move an object: its own place, its constraints, and those of all that it hangs on."""
+    place = {f"rotation_{kind}": "rotation" for kind in ("euler", "quaternion", "axis_angle")}
+    place |= {name: name for name in ("location", "scale")}
+    place |= {f"delta_{path}": name for path, name in place.items()}
+    yield from _keyed(thing, place)
+    above = thing.parent
+    while above is not None:
+        yield from (f"{name} of {above.name}" for name in _keyed(above, place))
+        yield from (f"constraint {bond.name} of {above.name}" for bond in above.constraints if not bond.mute)
+        above = above.parent
+    yield from (f"constraint {bond.name}" for bond in thing.constraints if not bond.mute)
 
 
 class _CloudExport(ExportHelper):

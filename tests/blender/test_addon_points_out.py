@@ -117,6 +117,19 @@ for name in ("keyed.npz", "keyed.usdc"):
     except RuntimeError as error:
         result[name] = str(error)
 thing.animation_data_clear()
+above = bpy.data.objects.new("Dolly", None)
+scene.collection.objects.link(above)
+bound = thing.constraints.new("COPY_LOCATION")
+bound.target = thing.parent = above
+above.driver_add("location", 2).driver.expression = "frame / 10"
+thing.driver_add(settings.path("Start Frame")).driver.expression = "frame"
+try:
+    bpy.ops.gof.export_points(filepath=folder + "/bound.npz")
+except RuntimeError as error:
+    result["bound"] = str(error)
+thing.constraints.remove(bound)
+thing.animation_data_clear()
+bpy.data.objects.remove(above)
 settings["Time Scale"] = 0.0
 try:
     bpy.ops.gof.export_points(filepath=folder + "/still.npz")
@@ -233,7 +246,8 @@ def test_the_scene_is_left_as_it_was(back):
     assert ".usdc, .usda or .abc" in back["other"]
     assert "Time Scale is 0" in back["still"]
     for name in ("keyed.npz", "keyed.usdc"):
-        assert "Time Scale, location keyed: remove those keys, or write .abc" in back[name]
+        assert "Time Scale, location may change over time" in back[name] and "or write .abc" in back[name]
+    assert "Start Frame, constraint Copy Location, location of Dolly may change over time" in back["bound"]
 
 
 @pytest.mark.blender
