@@ -580,6 +580,35 @@ def test_every_count_of_a_binary_file_is_held_against_its_bytes(tmp_path):
         read_result(tmp_path / "old.usdc")
 
 
+def test_a_damaged_file_that_a_good_one_refers_to_is_named(tmp_path):
+    """By reference, payload, sublayer and clip, from a file that itself is referred to, in a circle."""
+    stages.openusd()
+    stage = stages.new(tmp_path / "flame.usdc")
+    stages.splats(stage, "/fire", changed())
+    stage.SetMetadata("customLayerData", {"a": {"numbers": [0.25 * k for k in range(40)]}})
+    stage.Save()
+    good = (tmp_path / "flame.usdc").read_bytes()
+    at = good.index(np.float32(changed()[0]["positions"]).tobytes()) - 8
+    clips = "asset[] assetPaths = [@flame.usdc@]\ndouble2[] active = [(0, 0)]\ndouble2[] times = [(0, 0)]"
+    again = 'def "b" (references = @scene.usda@</b>)\n{\n}\n'  # goes in a circle
+    texts = {
+        "reference": f'def "fire" (references = @flame.usdc@</fire>)\n{{\n}}\n{again}',
+        "payload": 'def "fire" (payload = @./flame.usdc@</fire>)\n{\n}\n',
+        "clip": f'def "fire" (clips = {{dictionary default = {{{clips}\nstring primPath = "/fire"}}}})\n{{\n}}\n',
+        "sublayer": "(subLayers = [@flame.usdc@])\n",
+    }
+    for kind, text in texts.items():
+        (tmp_path / f"{kind}.usda").write_text(f"#usda 1.0\n{text}")
+        scene = f'#usda 1.0\ndef "fire" (references = @{kind}.usda@</fire>)\n{{\n}}\ndef "b"\n{{\n}}\n'
+        (tmp_path / "scene.usda").write_text(scene)
+        (tmp_path / "flame.usdc").write_bytes(good)
+        if kind != "clip":  # which has the times alone, not the splats
+            read_result(tmp_path / "scene.usda")
+        (tmp_path / "flame.usdc").write_bytes(good[: at + 3] + b"\1" + good[at + 4 :])
+        with pytest.raises(DataFormatError, match=r"scene.usda: refers to .*flame.usdc, which is damaged: .* entries"):
+            read_result(tmp_path / "scene.usda")
+
+
 def test_damage_is_an_error_or_a_result_and_no_fault(tmp_path):
     stages.openusd()
     stage = stages.new(tmp_path / "a.usda")

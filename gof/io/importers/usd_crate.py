@@ -2,7 +2,7 @@
 
 The library sets memory aside for as many entries as a file announces, before it reads them: a flipped bit in a file of
 some kilobytes costs gigabytes and half a minute. Here every count is compared with the bytes that are there to hold it.
-Files that it refers to are not looked over. The layout is that of OpenUSD's `pxr/usd/sdf/crateFile.cpp`: numbers are
+The layout is that of OpenUSD's `pxr/usd/sdf/crateFile.cpp`: numbers are
 little-endian; a bootstrap of 88 bytes says where the table of contents is; six sections hold the structure; values lie
 between, found by 64-bit references to them.
 """

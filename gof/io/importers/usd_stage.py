@@ -23,6 +23,7 @@ from gof.core.trajectory import ROUNDING
 from gof.io.importers import usd_crate
 from gof.io.usd import MOST_FRAMES
 
+SUFFIXES = (".usd", ".usda", ".usdc", ".usdz")
 SAME_TIME = 1e-3  # of the usual step between samples: times of two attributes that are nearer are one
 INSTEAD = "; give the result it was made from, or a folder of PLYs (docs/importers.md)"
 # Attributes by what they hold: the schema's, of which floats go before halves, and names for what it has none for.
@@ -51,10 +52,10 @@ def open_stage(path: Path) -> Iterator[Any]:
     """Give a stage of the file. Raises DataFormatError: OpenUSD cannot read it, or something in it."""
     Tf, Usd = map(_part, ("Tf", "Usd"))
 
-    usd_crate.check(path)
     # What OpenUSD would print; what matters of it is said in the notes. 26.3 has no such trap, and prints.
     with getattr(Tf, "DiagnosticTrap", nullcontext)() as trap:
         try:
+            _look_over(path)
             stage = Usd.Stage.Open(str(path))
             stage.Reload()  # what another reader holds of the file may be old
             yield stage
@@ -65,6 +66,25 @@ def open_stage(path: Path) -> Iterator[Any]:
         finally:
             if trap is not None:
                 trap.Clear()
+
+
+def _look_over(path: Path) -> None:
+    """Check a file and all layers that it refers to, and they, before OpenUSD reads a value of them."""
+    Sdf, UsdUtils = map(_part, ("Sdf", "UsdUtils"))
+
+    left, known = [path], set[Path]()
+    while left:
+        here = left.pop()
+        if here in known or here.suffix.lower() not in SUFFIXES or not here.is_file():
+            continue  # what is not there, OpenUSD names
+        known.add(here)
+        try:
+            usd_crate.check(here)
+        except DataFormatError as e:
+            raise e if here == path else DataFormatError(f"refers to {here}, which {e}") from e
+        layer = Sdf.Layer.FindOrOpen(str(here))
+        names = [name for found in UsdUtils.ExtractExternalReferences(str(here)) for name in found]
+        left += [Path(layer.ComputeAbsolutePath(name)) for name in names if layer is not None]
 
 
 def _reason(error: Exception) -> str:
