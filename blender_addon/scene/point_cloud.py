@@ -147,10 +147,19 @@ def cloud_of(thing: bpy.types.Object) -> GaussianCloud | None:
     """Return the Gaussians that an object shows, from its mesh; None for one of an older add-on, which kept no colors.
 
     A Gaussian that rests and is always on counts as static.
+
+    Raises:
+        CloudError: some are light and some are not, as where objects were joined: a cloud is one or the other.
     """
     mesh = thing.data
     if DISPLAY not in mesh.attributes:
         return None
+    shining = column(mesh, EMISSIVE, 1)[:, 0] if EMISSIVE in mesh.attributes else np.zeros(len(mesh.vertices))
+    if shining.any() and not shining.all():
+        raise CloudError(
+            f"{thing.name}: {np.count_nonzero(shining):,} of its {len(shining):,} Gaussians are a flame's light and "
+            "the others cover what is behind them; separate what was joined, and write each"
+        )
     position = np.empty(3 * len(mesh.vertices), np.float32)
     mesh.vertices.foreach_get("co", position)
     velocity, gas = column(mesh, "gs_velocity", 3), column(mesh, "gs_gas_velocity", 3)
@@ -174,7 +183,7 @@ def cloud_of(thing: bpy.types.Object) -> GaussianCloud | None:
         dynamic=(inverse > 0) | (velocity != 0).any(1) | (gas != 0).any(1) | ("begin" in given),
         gas_velocity=gas,
         datum=datum_of(thing),
-        emissive=EMISSIVE in mesh.attributes and bool(column(mesh, EMISSIVE, 1).all()),
+        emissive=bool(shining.any()),
         **given,
     )
 

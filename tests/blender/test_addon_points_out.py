@@ -90,6 +90,7 @@ def folder(tmp_path_factory, flame):
     pytest.importorskip("bpy", reason="the operators need Blender")
     folder = tmp_path_factory.mktemp("points")
     TransientGaussians(**flame).save(folder / "result.npz")
+    TransientGaussians(**flame, emissive=True).save(folder / "light.npz")
     return folder
 
 
@@ -136,6 +137,18 @@ try:
 except RuntimeError as error:
     result["still"] = str(error)
 result["after"] = [settings["Mode"], settings["Share"], len(bpy.data.objects), bpy.context.object == thing]
+bpy.ops.gof.import_result(filepath=folder + "/light.npz", fit="keep")
+light = bpy.context.object
+bpy.ops.gof.export_points(filepath=folder + "/shining.npz")
+other = thing.copy()
+other.data = thing.data.copy()
+scene.collection.objects.link(other)
+other.select_set(True)
+bpy.ops.object.join()
+try:
+    bpy.ops.gof.export_points(filepath=folder + "/joined.npz")
+except RuntimeError as error:
+    result["joined"] = str(error)
 from pxr import Usd, UsdGeom
 stage = Usd.Stage.Open(folder + "/out.usdc")
 prim = UsdGeom.Points(stage.GetPrimAtPath("/reconstruction/points"))
@@ -231,22 +244,30 @@ def test_values_of_the_gaussians_go_along(back, flame):
 
 
 @pytest.mark.blender
+def test_light_stays_light(back, folder):
+    assert TransientGaussians.load(folder / "shining.npz").emissive
+
+
+@pytest.mark.blender
 def test_the_scene_is_left_as_it_was(back):
     for name in ("out.usdc", "out.abc", "out.npz", "out.ply"):
         assert back[f"{name} said"] == ["FINISHED"]
     assert back["after"] == [2, 0.5, 8, True], "the cloud with four lamps, and the three objects of a new file"
     assert back["left"] == [
+        "light.npz",
         "out.abc",
         "out.npz",
         "out.ply",
         "out.usdc",
         "result.npz",
+        "shining.npz",
         "turned.npz",
     ], "nothing half-made stays"
     assert ".usdc, .usda or .abc" in back["other"]
     assert "Time Scale is 0" in back["still"]
     for name in ("keyed.npz", "keyed.usdc"):
         assert "Time Scale, location may change over time" in back[name] and "or write .abc" in back[name]
+    assert f"{N} of its {2 * N} Gaussians are a flame's light" in back["joined"]
     assert "Start Frame, constraint Copy Location, location of Dolly may change over time" in back["bound"]
 
 
