@@ -50,6 +50,12 @@ def find_emission(
         (V,) float64 >= 0, in one unit for all frames of a clip; 0 outside the frame's hull; all 0 for an empty mask.
     """
     hull, views = _hull_and_views(voxels, intensity, mask)
+    return _find_emission(voxels, hull, views, rounded, iterations)
+
+
+def _find_emission(
+    voxels: FlameVoxels, hull: np.ndarray, views: list[_PooledView], rounded: bool, iterations: int
+) -> np.ndarray:
     emission = _maximise(hull.astype(np.float64), views, iterations)
     if rounded and emission.any():
         emission = _maximise(hull * round_flame(voxels, emission), views, iterations)
@@ -78,10 +84,10 @@ def find_compact_emission(
     """
     from scipy.ndimage import gaussian_filter  # here: it takes long to load
 
-    emission = find_emission(voxels, intensity, mask, iterations=iterations)
+    hull, views = _hull_and_views(voxels, intensity, mask)
+    emission = _find_emission(voxels, hull, views, True, iterations)
     if not emission.any():
         return emission
-    hull, views = _hull_and_views(voxels, intensity, mask)
     for _ in range(turns):
         emission = _maximise(turn_around(voxels, emission, hull), views, iterations)
     cells, grid = tuple(voxels.index.T), np.zeros(voxels.resolution)
