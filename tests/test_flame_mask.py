@@ -49,3 +49,18 @@ def test_leaves_are_none(static):
 
 def test_a_picture_like_its_plate_has_none(static):
     assert not flame_mask(static, static).any()
+
+
+@pytest.mark.parametrize("light, found", [(1.0, True), (0.25, True), (0.05, False)])
+def test_a_dim_camera_sees_the_same_flame(static, light, found):
+    """All of a picture at a share of its light, in linear values; the wall that the fire lights stays none."""
+
+    def dimmed(picture):
+        linear = np.where(picture <= 0.04045, picture / 12.92, ((picture + 0.055) / 1.055) ** 2.4) * light
+        return np.where(linear <= 0.0031308, 12.92 * linear, 1.055 * linear ** (1 / 2.4) - 0.055)
+
+    picture = painted(static, ((0, 60, 0, 40), GLOW), ((10, 30, 10, 30), (0.95, 0.85, 0.4)))
+    mask = flame_mask(dimmed(picture), dimmed(static))
+    assert mask[10:30, 10:30].all() == mask.any() == found
+    assert mask.sum() <= 24 * 24
+    assert not flame_mask(dimmed(painted(static, ((0, 60, 0, 40), GLOW))), dimmed(static)).any()

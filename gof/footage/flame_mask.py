@@ -6,24 +6,30 @@ import cv2
 import numpy as np
 
 WEAK, STRONG = 0.15, 0.35  # display values: more than a fire throws on its surroundings
+BRIGHT = 0.65  # by which red of a picture's brightest flame rises, unless its camera is dimmer than others
+DIMMEST = 0.6  # share of WEAK and STRONG: so much of STRONG is still more than a fire throws
 
 
 def flame_mask(
-    image: np.ndarray, static: np.ndarray, weak: float = WEAK, strong: float = STRONG, grow_px: int = 2
+    image: np.ndarray, static: np.ndarray, weak: float | None = None, strong: float | None = None, grow_px: int = 2
 ) -> np.ndarray:
     """Return (H, W) bool: where flame may be, closed and grown by `grow_px`.
 
     Flame raises red most, and so does the light it throws on its surroundings, only less. Hence hysteresis: regions
     whose rise in red, and in red over blue, is above `weak` everywhere and above `strong` somewhere. An overexposed
     core is white; so where red rises above `strong` a region goes on, whatever blue does. White light that touches no
-    flame (LEDs) is none.
+    flame (LEDs) is none. In a dim picture everything rises by less, so thresholds that are not given fall with its
+    brightest flame.
 
     Args:
         image, static: (H, W, 3) display sRGB in [0, 1], with and without fire.
-        weak, strong: display values.
+        weak, strong: display values; default: WEAK and STRONG, less in a picture that is dimmer than BRIGHT.
     """
-    rise = above_plate(image, static)
-    white_hot = image[..., 0] - static[..., 0] > strong
+    rise, red = above_plate(image, static), image[..., 0] - static[..., 0]
+    if weak is None or strong is None:
+        share = float(np.clip(cv2.medianBlur(red.astype(np.float32), 3).max() / BRIGHT, DIMMEST, 1))
+        weak, strong = weak or share * WEAK, strong or share * STRONG
+    white_hot = red > strong
     _, region = cv2.connectedComponents(((rise > weak) | white_hot).astype(np.uint8))
     flame = np.isin(region, np.unique(region[rise > strong])) & (region > 0)
     disc = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * grow_px + 1, 2 * grow_px + 1))
