@@ -2,15 +2,16 @@
 
 The room is a plain PLY of 3D Gaussian Splatting, or the still Gaussians of a result. At time t the flame is a lamp at
 c(t), the middle of its light. Its light P(t), in red, green and blue, is what pictures show of its Gaussians
-(`gof.core.shining`), times BRIGHTER. A splat at x of the display colour b, which is what its constant harmonic says,
-then shows
+(`gof.core.shining`). A splat at x of the display colour b, which is what its constant harmonic says, then shows
 
-    lit(t) = b + S(min(a (1 + E(t)), 1)) - S(a),   a = L(b),   E(t) = light P(t) / (pi (|x - c(t)|^2 + r0^2)),
+    lit(t) = b + S(min(a (1 + E(t)), 1)) - S(a),   a = L(b),
+    E(t) = light P(t) / (pi (|x - c(t)|^2 + r0^2)) ALBEDO / A,
 
-with L to linear light and S back to display values. a E is what a surface of albedo a sends back that faces the lamp,
-and a itself what it shows without: the room's own light counts as 1, and colours as far as they lie in [0, 1]. r0 is
-the flame's own size, the root of the mean square distance of its light from c(t), so that nothing near it is lit
-without bound. Colours that change with the direction keep that part as it is. There are no shadows, and a surface that
+with L to linear light and S back to display values, colours as far as they lie in [0, 1]. Without the flame a surface
+shows a, its albedo times the room's own light; facing the lamp it sends back its albedo times the lamp's. How bright
+the room's own light was, its pictures do not say: A, the median of a, is taken for surfaces of ALBEDO. r0 is the
+flame's own size, the root of the mean square distance of its light from c(t), so that nothing near it is lit without
+bound. Colours that change with the direction keep that part as it is. There are no shadows, and a surface that
 looks away from the flame is lit alike.
 
 All is written in metres with Z up, as every file of ours, counted from the room's origin: a room with another unit or
@@ -42,7 +43,10 @@ INSTANTS = 32  # of the clip, from which the mean light is taken
 BURNING = (0.05, 0.95)  # shares of the Gaussians' times between which a flame without a stated clip burns
 FOOT, LOWEST = 0.01, 0.1  # shares of the light: below the foot's height, and over whose middle the foot lies
 SEEN = 1 / 255  # of a display value
-BRIGHTER = 4.5  # than its pictures, which end at white, is a flame: what the demo's room shows (notebook/choices.md)
+# Red, green and blue of a room's usual surface in a flame's light, as three rooms show (notebook/choices.md). A flame's
+# pictures end at white, in red first, so red counts for more.
+ALBEDO = np.array([0.20, 0.11, 0.085])
+DARKEST = 0.005  # linear: a room as black as that says nothing of its light
 
 
 @dataclass(frozen=True)
@@ -131,7 +135,7 @@ class LitRoom:
         total = shining.light.sum(1)
         if not total.any():
             return np.zeros(3), np.zeros(3)
-        return np.average(shining.middle, axis=0, weights=total), BRIGHTER / np.sqrt(2 * np.pi) * shining.light.sum(0)
+        return np.average(shining.middle, axis=0, weights=total), shining.light.sum(0) / np.sqrt(2 * np.pi)
 
     def _color(self, lamps: Sequence[tuple[np.ndarray, np.ndarray]]) -> np.ndarray:
         """Return the room's colours, (N, 3) or (N, K, 3), in the mean light of some lamps."""
@@ -140,9 +144,9 @@ class LitRoom:
             if power.any():
                 near = ((self.room.position - place) ** 2).sum(1) + self.size**2
                 extra += (self.light / (np.pi * len(lamps)) * power) / near[:, None]
-        base = np.clip(plain_color(self.room.color), 0, 1)
-        albedo = srgb_to_linear(base)
-        gain = linear_to_srgb(np.minimum(albedo * (1 + extra), 1)) - linear_to_srgb(albedo)
+        shown = srgb_to_linear(np.clip(plain_color(self.room.color), 0, 1))
+        extra *= ALBEDO / max(float(np.median(shown.mean(1))), DARKEST)
+        gain = linear_to_srgb(np.minimum(shown * (1 + extra), 1)) - linear_to_srgb(shown)
         color = self.room.color.copy()
         if color.ndim == 2:
             return color + gain

@@ -19,7 +19,7 @@ from gof.core.harmonics import C0
 from gof.core.shining import shining_at
 from gof.core.trajectory import Trajectory
 from gof.io.importers import read_result
-from gof.io.into_room import BRIGHTER, put_into_room, read_room
+from gof.io.into_room import ALBEDO, put_into_room, read_room
 from gof.render import render
 from tests.conftest import look_at, random_gaussians
 from tests.io.test_gltf import parse
@@ -38,10 +38,14 @@ def to_display(x):
     return 12.92 * x if x <= 0.0031308 else 1.055 * x ** (1 / 2.4) - 0.055
 
 
-def lit_by_hand(base, distance, channel, alpha=ALPHA, light=1.0, scale=1.0):
-    """A splat's display colour at a distance, in the room's units, from the one Gaussian."""
+def lit_by_hand(base, distance, channel, alpha=ALPHA, light=1.0, scale=1.0, usual=None):
+    """A splat's display colour at a distance, in the room's units, from the one Gaussian.
+
+    The room's usual splat shows `usual`, linear; without it, as this one.
+    """
     width = WIDTH * scale
-    power = BRIGHTER * to_linear(COLOUR[channel]) * -math.log(1 - alpha) * 2 * math.pi * width**2
+    power = to_linear(COLOUR[channel]) * -math.log(1 - alpha) * 2 * math.pi * width**2
+    power *= ALBEDO[channel] / (to_linear(base) if usual is None else usual)
     extra = light * power / (math.pi * (distance**2 + 3 * width**2))
     return to_display(min(to_linear(base) * (1 + extra), 1))
 
@@ -87,11 +91,13 @@ def test_a_splat_at_a_known_distance(tmp_path, scale):
     """The flame's one Gaussian stands in the origin; 3-4-5 triangles and a splat in the flame's own middle."""
     places, colours = [[3, 0, 4], [0, 0, -0.5], [0, 0, 0]], [[0.2, 0.5, 0.8], [0.5, 0.5, 0.5], [0.1, 0.1, 0.1]]
     room(tmp_path / "room.ply", places, colours)
-    standing = put_into_room(flame(), place(tmp_path, scale=scale, light=30.0))
+    standing = put_into_room(flame(), place(tmp_path, scale=scale, light=300.0))
     lit, note = standing.lit([MU])
     changed = 0
     for n, distance in enumerate((5.0, 0.5, 0.0)):
-        expected = [lit_by_hand(colours[n][c], distance, c, light=30.0, scale=scale) for c in range(3)]
+        usual = sum(map(to_linear, (0.2, 0.5, 0.8))) / 3  # brighter than both greys
+        usual = sorted([usual, to_linear(0.5), to_linear(0.1)])[1]
+        expected = [lit_by_hand(colours[n][c], distance, c, light=300.0, scale=scale, usual=usual) for c in range(3)]
         np.testing.assert_allclose(lit.color[n], expected, atol=2e-6)
         changed += max(np.subtract(expected, colours[n])) >= 1 / 255
     assert lit.color[1, 0] > colours[1][0] + 0.1, "the light is seen at all"
@@ -114,7 +120,7 @@ def test_the_light_is_what_a_camera_sees_of_the_flame(tmp_path):
     seen *= -math.log(1 - alpha) / (alpha - 1 / 255)
     room(tmp_path / "room.ply", [[9, 9, 9]], [[0.5] * 3])
     _, power = put_into_room(g, tmp_path / "room.ply")._lamp(MU)
-    np.testing.assert_allclose(power / BRIGHTER / r**2, [to_linear(c) * seen for c in COLOUR], rtol=0.005)
+    np.testing.assert_allclose(power / r**2, [to_linear(c) * seen for c in COLOUR], rtol=0.005)
 
 
 def test_turn_scale_and_up(tmp_path):
@@ -176,10 +182,10 @@ def test_units_do_not_matter(tmp_path):
     g = random_gaussians(60)
     places, colours = np.random.default_rng(1).normal(0, 1, (50, 3)), np.random.default_rng(2).random((50, 3))
     room(tmp_path / "room.ply", places, colours)
-    one = put_into_room(g, place(tmp_path, light=1.0)).lit([0.4])[0]
+    one = put_into_room(g, place(tmp_path, light=20.0)).lit([0.4])[0]
     turn = np.array([[0, -1, 0], [0, 0, -1], [1, 0, 0]])  # a quarter about z, then z goes to -y
     room(tmp_path / "room.ply", 3 * places @ turn.T + [5, 6, 7], colours)
-    keys = {"at": [5, 6, 7], "scale": 3.0, "turn_deg": 90, "up": [0, -1, 0], "light": 1.0}
+    keys = {"at": [5, 6, 7], "scale": 3.0, "turn_deg": 90, "up": [0, -1, 0], "light": 20.0}
     other = put_into_room(g, place(tmp_path, **keys)).lit([0.4])[0]
     assert np.abs(one.color[:50] - colours).max() > 0.05
     np.testing.assert_allclose(other.color, one.color, atol=1e-5)
@@ -209,11 +215,11 @@ def test_one_file_holds_both_in_the_mean_light(tmp_path, capsys, name):
     for t in first + (last - first) * (np.arange(32) + 0.5) / 32:
         alphas = [ALPHA * math.exp(-0.5 * ((t - MU - 0.02 * k) / 0.01) ** 2) for k in range(n)]
         thick = sum(-math.log(1 - a) for a in alphas if a >= 1 / 255)
-        extra += 8 * BRIGHTER * thick * 2 * WIDTH**2 / (np.array([0.16, 0.64]) + 3 * WIDTH**2) / 32
+        extra += 8 * thick * 2 * WIDTH**2 / (np.array([0.16, 0.64]) + 3 * WIDTH**2) / 32
+    usual = (to_linear(0.4) + to_linear(0.6)) / 2
     for c in range(3):
-        expected = [
-            to_display(to_linear(b) * (1 + to_linear(COLOUR[c]) * e)) for b, e in zip((0.4, 0.6), extra, strict=True)
-        ]
+        lamp = to_linear(COLOUR[c]) * ALBEDO[c] / usual
+        expected = [to_display(to_linear(b) * (1 + lamp * e)) for b, e in zip((0.4, 0.6), extra, strict=True)]
         np.testing.assert_allclose(back.color[:2, c], expected, atol=1e-5)
 
 
@@ -261,7 +267,7 @@ def test_small_files_that_move_hold_the_room(tmp_path, name):
     """Still in the middle of a flame that moves, in the mean light of the stated clip; within the formats' steps."""
     room(tmp_path / "room.ply", [[0, 0.5, 0.1], [0.2, 1, 0]], [[0.3] * 3, [0.5] * 3])
     flame(velocity=[[0.0, 0, 0.0]]).save(tmp_path / "f.npz")
-    into = place(tmp_path, light=20.0)
+    into = place(tmp_path, light=200.0)
     assert main([str(tmp_path / "f.npz"), str(tmp_path / name), "--clip", "0.15", "0.25", "--into", str(into)]) == 0
     back = read_result(tmp_path / name).gaussians
     lit, _ = put_into_room(flame(), into).lit(0.15 + 0.1 * (np.arange(32) + 0.5) / 32)
@@ -271,6 +277,20 @@ def test_small_files_that_move_hold_the_room(tmp_path, name):
         color = back.color[row] if back.color.ndim == 2 else 0.5 + C0 * back.color[row, 0]
         np.testing.assert_allclose(color, lit.color[n], atol=0.006)
         assert back[[row]].at(0.15)[1] == pytest.approx(back[[row]].at(0.25)[1], abs=1e-3)
+
+
+def test_a_room_is_lit_by_how_bright_it_is(tmp_path):
+    """A tenth of its own light, and the flame is ten times as bright beside it; of a black one nothing is known."""
+    gains = []
+    for light in (1.0, 0.1):
+        grey = to_display(light * to_linear(0.5))
+        room(tmp_path / "room.ply", [[0, 0.5, 0]] * 3, [[grey] * 3] * 3)
+        lit, _ = put_into_room(flame(), tmp_path / "room.ply").lit([MU])
+        gains.append([to_linear(c) - to_linear(grey) for c in lit.color[0]])
+    np.testing.assert_allclose(gains[1], gains[0], rtol=0.01)
+    room(tmp_path / "room.ply", [[0, 0.5, 0]] * 3, [[0.0] * 3] * 2 + [[0.02] * 3])
+    lit, _ = put_into_room(flame(), tmp_path / "room.ply").lit([MU])
+    assert np.isfinite(lit.color).all() and np.abs(lit.color[:2]).max() < 1e-6 and 0.02 < lit.color[2, 0] < 0.2
 
 
 def test_a_flame_without_light_and_a_light_of_0_change_nothing(tmp_path):
