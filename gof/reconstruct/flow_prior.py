@@ -30,7 +30,7 @@ from gof.host.threads import map_on_cores
 from gof.reconstruct.flame_axis import CrossSections, FlameAxis
 from gof.reconstruct.flow_field import FlowField, FrameField
 from gof.reconstruct.log_light import LogLight, slope
-from gof.reconstruct.pace import Pace, PaceClues
+from gof.reconstruct.pace import USUAL, Pace, PaceClues
 from gof.reconstruct.several_flames import alone, several_flames
 
 WEIGHTS = Path(__file__).with_name("flow_prior.npz")
@@ -112,12 +112,12 @@ class FlowPrior:
                 data["mean"],
                 data["deviation"],
                 _network(data, "velocity"),
-                _network(data, "uncertainty" if "uncertainty_layers" in data else "doubt"),
+                _network(data, "uncertainty"),
                 Pace(data["pace_metric"], data["pace_unitless"]),
             )
         except KeyError as missing:
             raise DataFormatError(f"{path}: not the weights of a flow prior ({missing} is missing)") from missing
-        if features != list(FEATURES):
+        if features != list(FEATURES) or len(prior.pace.metric) != 1 + len(USUAL):
             raise DataFormatError(
                 f"{path}: trained for other features than this version's; run benchmark/training/flow_prior.py"
             )

@@ -2,14 +2,12 @@
 
 Texture lags behind the gas by a factor that is much the same all over one flame and differs from flame to flame: 0.8 to
 4 on the benchmark's. A clip says little of it, and a hundred flames are not at hand to learn it from, so it is a
-straight line in logarithms through four clues that physics names:
+straight line in logarithms through three clues that physics names:
 
 - what buoyancy would make of a flame of this length, if lengths are metres: hot gas cannot choose its speed;
 - how slender the flame is: a jet is faster than buoyancy, and a squat flame that is fed from all sides slower;
 - how much of the seen motion carries its texture with it: where light rather goes out and on again in place, optical
-  flow reads much of that as motion, and the gas is slower than it looks;
-- how upright the moving texture is: smooth sheets that stand along the flow hide its speed (the aperture problem), and
-  the gas is faster than it looks.
+  flow reads much of that as motion, and the gas is slower than it looks.
 """
 
 from __future__ import annotations
@@ -25,10 +23,10 @@ from gof.reconstruct.log_light import LogLight, slope
 
 GRAVITY = 9.81  # m/s2
 LAW = 2.18  # of sqrt(g z): McCaffrey's 6.83 sqrt(z) on the axis of the continuous flame (NBSIR 79-1910)
-USUAL = np.array([4.0, 0.14, 0.6, 0.7])  # of the clues; logarithms are taken from there
+USUAL = np.array([4.0, 0.14, 0.6])  # of the clues; logarithms are taken from there
 FARTHEST = np.log(4.0)  # a clue stranger than that counts no more: no flame of the benchmark is
 STIFFNESS = 0.05  # of the fit: as much as a twentieth of a flame that says "all clues mean nothing"
-ROUNDING = 1e-20  # mean square of differences of logarithms that are nothing but rounding
+UPRIGHT = 0.5  # least cosine between a flame and the vertical; beyond 60 degrees, up itself is doubtful
 TEXTURE = 1.5  # voxels, std-dev of the light that is looked at
 
 
@@ -41,7 +39,6 @@ class PaceClues:
         buoyant: what buoyancy would make of the flame, m/s, if its lengths are metres.
         carried: speed along the axis at which the texture of the light is carried, m/s.
         slenderness: the flame's radius over its length.
-        texture: slope of the moving texture along the axis over its slope across; 0 for upright sheets.
         energy: how much there is to see of it, > 0: its light times the square of its seen speed, in any unit.
     """
 
@@ -49,7 +46,6 @@ class PaceClues:
     buoyant: float
     carried: float
     slenderness: float
-    texture: float
     energy: float
 
     @classmethod
@@ -59,21 +55,25 @@ class PaceClues:
             buoyant=buoyant_speed(axis),
             carried=carried_speed(axis, log_light),
             slenderness=axis.radius / axis.length,
-            texture=texture_along(axis, log_light),
             energy=float(axis.mean_light.sum()) * axis.seen_speed**2,
         )
 
     @property
     def logs(self) -> np.ndarray:
-        """(4,) logarithms over the usual: buoyant over seen, slenderness, carried over seen, texture."""
-        ratios = np.array([self.buoyant / self.seen, self.slenderness, self.carried / self.seen, self.texture])
+        """(3,) logarithms over the usual: buoyant over seen, slenderness, carried over seen."""
+        ratios = np.array([self.buoyant / self.seen, self.slenderness, self.carried / self.seen])
         return np.clip(np.log(np.maximum(ratios, 1e-9) / USUAL), -FARTHEST, FARTHEST)
 
 
 def buoyant_speed(axis: FlameAxis) -> float:
-    """Mean over the light of the law's speed at its height above the foot, along the flame's own axis. m/s."""
-    height = (np.arange(axis.layers.count) * axis.layers.thickness - axis.foot).clip(0)
-    return float((axis.mean_light * LAW * np.sqrt(GRAVITY * height)).sum() / axis.mean_light.sum())
+    """Return the mean over the light of the law's rise at its height above the foot, along the flame's own axis. m/s.
+
+    Wind carries gas sideways and leaves its rise as it is, so gas of a tilted flame is faster by 1 / cos(tilt).
+    """
+    upright = max(float(axis.layers.direction[2]), UPRIGHT)
+    height = upright * (np.arange(axis.layers.count) * axis.layers.thickness - axis.foot).clip(0)
+    rise = float((axis.mean_light * LAW * np.sqrt(GRAVITY * height)).sum() / axis.mean_light.sum())
+    return rise / upright
 
 
 def carried_speed(axis: FlameAxis, log_light: LogLight) -> float:
@@ -97,32 +97,13 @@ def carried_speed(axis: FlameAxis, log_light: LogLight) -> float:
     return carried / texture if texture > 0 else 0.0
 
 
-def texture_along(axis: FlameAxis, log_light: LogLight) -> float:
-    """RMS slope along the axis over that across it, of what log light differs by from its mean over the clip.
-
-    Returns:
-        0.001 to 1000, weighted by emission; `USUAL` where nothing differs from the mean.
-    """
-    frames, voxels = log_light.field.frames, log_light.field.voxels
-    mean = np.mean([log_light.grid(f, TEXTURE) for f in range(len(frames))], axis=0)
-    along = across = 0.0
-    for f, frame in enumerate(frames):
-        moving = slope(log_light.grid(f, TEXTURE) - mean, voxels)
-        along += float(frame.emission @ (moving @ axis.layers.direction) ** 2)
-        across += float(frame.emission @ (axis.layers.sideways(moving) ** 2).sum(1))
-    total = along + across
-    if total * voxels.voxel_size**2 <= ROUNDING * sum(float(frame.emission.sum()) for frame in frames):
-        return float(USUAL[3])
-    return float(np.sqrt(max(along, 1e-6 * total) / max(across, 1e-6 * total)))
-
-
 @dataclass(frozen=True)
 class Pace:
     """A line: log of (mean speed of the gas over the seen one) = weights . (1, clues).
 
     Attributes:
-        metric: (5,) where lengths are metres and times seconds.
-        unitless: (5,) where that is unknown; nothing for buoyancy.
+        metric: (4,) where lengths are metres and times seconds.
+        unitless: (4,) where that is unknown; nothing for buoyancy.
     """
 
     metric: np.ndarray
@@ -153,7 +134,7 @@ class Pace:
         """The line through flames whose mean speed, m/s, is known (ridge regression; the constant is free)."""
         design = np.stack([[1, *flame.logs] for flame in clues])
         factor = np.log([true / flame.seen for true, flame in zip(speed, clues, strict=True)])
-        return cls(_ridge(design, factor), _ridge(design * [1, 0, 1, 1, 1], factor))
+        return cls(_ridge(design, factor), _ridge(design * [1, 0, 1, 1], factor))
 
 
 def _ridge(design: np.ndarray, values: np.ndarray) -> np.ndarray:

@@ -218,6 +218,7 @@ def test_bad_weights_are_named(tmp_path):
         FlowPrior.load(path)
     empty = dict.fromkeys(("velocity_layers", "uncertainty_layers"), 0)
     numbers = dict.fromkeys(("mean", "deviation", "pace_metric", "pace_unitless"), np.zeros(1))
-    np.savez(path, features=["a"], **empty, **numbers)
-    with pytest.raises(DataFormatError, match="other features"):
-        FlowPrior.load(path)
+    for features in (["a"], FEATURES):  # those of the voxels, or of the pace
+        np.savez(path, features=features, **empty, **numbers)
+        with pytest.raises(DataFormatError, match="other features"):
+            FlowPrior.load(path)
