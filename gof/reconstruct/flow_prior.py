@@ -12,8 +12,8 @@ Both are fitted to simulated flames of two solvers (`benchmark/training/flow_pri
 test fire of the benchmark). A network that answers both at once learns its few flames' paces by heart.
 
 The network gives the coefficients of five vectors that turn with the flame and its axis, so that the result
-is the same for any heading, and without knowing which way is up. Gravity and metres enter through the pace alone; with
-`metres=False` the result is the same in any unit of length or time.
+is the same for any heading, and without knowing which way is up. Gravity, up and metres enter through the pace alone;
+with `metres=False` the result is the same in any unit of length or time, and on its side.
 """
 
 from __future__ import annotations
