@@ -69,6 +69,7 @@ TOY = {
     "calibration": ("FLAME",),
     "dve_orders": ("--out", "OUT", "--gaussians", "100", "--samples", "1000"),
     "dve_speed": ("--counts", "1000", "--sizes", "16", "--scipy-up-to", "1000"),
+    "format_losses": ("RESULT",),
     "hard_cases": ("FLAME",),
     "interval_coverage": ("--repeats", "20"),
     "motion_bounds": ("FLAME",),

@@ -1,4 +1,4 @@
-"""What a result loses in each format that `gof convert` writes and that can be read again.
+"""Write a result in each format of `gof convert` that can be read again, and measure the loss.
 
     python -m gof_benchmark.evidence.format_losses RESULT
 
@@ -8,6 +8,7 @@ GLB, whose numbers are float32, is read by its test (tests/io/test_gltf.py). A f
 
 from __future__ import annotations
 
+import sys
 import tempfile
 from collections.abc import Callable
 from dataclasses import dataclass, replace
@@ -17,7 +18,7 @@ import numpy as np
 import tyro
 
 from gof.core import ftgs
-from gof.core.errors import DataFormatError
+from gof.core.errors import DataFormatError, MissingDependencyError
 from gof.core.gaussians import TransientGaussians
 from gof.core.similarity import Y_UP
 from gof.host import extras
@@ -68,7 +69,11 @@ def main(argv: list[str] | None = None) -> None:
     for name, measure in FORMATS.items():
         with tempfile.TemporaryDirectory(prefix="gof-") as folder:
             out = Path(folder) / ("frames" if name == "folder" else f"out{name}")
-            lost = measure(clip, out)
+            try:
+                lost = measure(clip, out)
+            except MissingDependencyError as e:
+                print(f"{name}: {e}", file=sys.stderr)
+                continue
             files = out.iterdir() if out.is_dir() else [out]
             size = sum(path.stat().st_size for path in files) / 1e6
         print(f"| `{name}` | {size:.2f} | {_cells(lost)} |", flush=True)

@@ -34,7 +34,7 @@ class Distance:
 
 @dataclass(frozen=True)
 class Loss:
-    """What a file lost.
+    """Differences of a file from what it was made of.
 
     Attributes:
         place: of Gaussians.
