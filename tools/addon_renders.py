@@ -3,21 +3,21 @@
     python tools/addon_renders.py --result RESULT.npz --dataset DATASET [--out docs/images] [--frame 20]
                                   [--camera cam_1]
 
-Runs in a Python that has the bpy wheel and ImageMagick's `convert` beside it. The modes and errors are rendered on a
-dark floor; the last picture is the dataset's own scene with the cloud in place of the fire, and its PSNR is printed.
+Runs in a Python that has the bpy wheel. The modes and errors are rendered on a dark floor; the last picture is the
+dataset's own scene with the cloud in place of the fire, and its PSNR is printed.
 """
 
 from __future__ import annotations
 
 import argparse
 import os
-import subprocess
 import sys
 import tempfile
 from math import pi
 from pathlib import Path
 
 import bpy
+import cv2
 import numpy as np
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
@@ -84,7 +84,7 @@ def errors(result: Path, dataset: Path, folder: Path) -> list[Path]:
 def side_by_side(result: Path, dataset: Path, folder: Path, frame: int, camera: str) -> list[Path]:
     """Return the true frame, and the cloud in the same scene."""
     spec = import_result.read_spec(dataset)
-    import_result.import_into_scene(clouds.load(result), spec, "points")
+    import_result.import_into_scene(clouds.load(result), spec, "ellipsoids")
     bpy.context.scene.frame_set(spec.timeline.blender_frame(frame))
     own, view = folder / "own.png", dataset / "cameras" / camera
     bpy.context.scene.camera = bpy.data.objects[camera]
@@ -104,7 +104,9 @@ def pixels(path: Path) -> np.ndarray:
 
 def join(pictures: list[Path], target: Path, scale: int = 100) -> None:
     """Join pictures side by side in one WebP."""
-    subprocess.run(["convert", *pictures, "+append", "-resize", f"{scale}%", "-quality", "85", target], check=True)
+    joined = np.hstack([cv2.imread(str(picture)) for picture in pictures])
+    larger = cv2.resize(joined, None, fx=scale / 100, fy=scale / 100, interpolation=cv2.INTER_CUBIC)
+    cv2.imwrite(str(target), larger, [cv2.IMWRITE_WEBP_QUALITY, 85])
 
 
 def main() -> None:
