@@ -106,13 +106,14 @@ def _moves(thing: bpy.types.Object) -> Iterator[str]:
     place = {f"rotation_{kind}": "rotation" for kind in ("euler", "quaternion", "axis_angle")}
     place |= {name: name for name in ("location", "scale")}
     place |= {f"delta_{path}": name for path, name in place.items()}
-    yield from _keyed(thing, place)
-    above = thing.parent
-    while above is not None:
-        yield from (f"{name} of {above.name}" for name in _keyed(above, place))
-        yield from (f"constraint {bond.name} of {above.name}" for bond in above.constraints if not bond.mute)
-        above = above.parent
-    yield from (f"constraint {bond.name}" for bond in thing.constraints if not bond.mute)
+    whose, it = "", thing
+    while it is not None:
+        yield from (f"{name}{whose}" for name in _keyed(it, place))
+        yield from (f"constraint {bond.name}{whose}" for bond in it.constraints if not bond.mute)
+        if it.parent is not None and it.parent_type != "OBJECT":  # a bone, a corner: posed without a key of the object
+            yield f"{it.parent_type.lower()} of {it.parent.name}"
+        it = it.parent
+        whose = f" of {it.name}" if it else ""
 
 
 class _CloudExport(ExportHelper):

@@ -27,8 +27,10 @@ def flame_mask(
     """
     rise, red = above_plate(image, static), image[..., 0] - static[..., 0]
     if weak is None or strong is None:
-        share = float(np.clip(cv2.medianBlur(red.astype(np.float32), 3).max() / BRIGHT, DIMMEST, 1))
-        weak, strong = weak or share * WEAK, strong or share * STRONG
+        brightest = cv2.medianBlur(np.nan_to_num(red, nan=0).astype(np.float32), 3).max()  # no single pixel
+        share = float(np.clip(brightest / BRIGHT, DIMMEST, 1))
+        weak = share * WEAK if weak is None else weak
+        strong = share * STRONG if strong is None else strong
     white_hot = red > strong
     _, region = cv2.connectedComponents(((rise > weak) | white_hot).astype(np.uint8))
     flame = np.isin(region, np.unique(region[rise > strong])) & (region > 0)

@@ -75,7 +75,8 @@ def _look_over(path: Path) -> None:
     left, known = [path], set[Path]()
     while left:
         here = left.pop()
-        if here in known or here.suffix.lower() not in SUFFIXES or not here.is_file():
+        is_layer = here == path or (here.suffix.lower() in SUFFIXES and here.is_file())
+        if here in known or not is_layer:
             continue  # what is not there, OpenUSD names
         known.add(here)
         try:
