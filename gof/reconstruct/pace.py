@@ -26,7 +26,7 @@ LAW = 2.18  # of sqrt(g z): McCaffrey's 6.83 sqrt(z) on the axis of the continuo
 USUAL = np.array([4.0, 0.14, 0.6])  # of the clues; logarithms are taken from there
 FARTHEST = np.log(4.0)  # a clue stranger than that counts no more: no flame of the benchmark is
 STIFFNESS = 0.05  # of the fit: as much as a twentieth of a flame that says "all clues mean nothing"
-UPRIGHT = 0.5  # least cosine between a flame and the vertical; beyond 60 degrees, up itself is doubtful
+UPRIGHT = 0.5  # cosine of a flame's tilt: below it up is likelier wrong than the flame blown down
 TEXTURE = 1.5  # voxels, std-dev of the light that is looked at
 
 
@@ -68,9 +68,11 @@ class PaceClues:
 def buoyant_speed(axis: FlameAxis) -> float:
     """Return the mean over the light of the law's rise at its height above the foot, along the flame's own axis. m/s.
 
-    Wind carries gas sideways and leaves its rise as it is, so gas of a tilted flame is faster by 1 / cos(tilt).
+    Wind carries gas sideways and leaves its rise as it is, so gas of a tilted flame is faster by 1 / cos(tilt). Beyond
+    60 degrees that is believed less and less: a flame that lies, or hangs, counts as upright in a world that does not.
     """
-    upright = max(float(axis.layers.direction[2]), UPRIGHT)
+    upright = float(np.clip(axis.layers.direction[2], 0, 1))
+    upright = upright if upright >= UPRIGHT else 1 - upright
     height = upright * (np.arange(axis.layers.count) * axis.layers.thickness - axis.foot).clip(0)
     rise = float((axis.mean_light * LAW * np.sqrt(GRAVITY * height)).sum() / axis.mean_light.sum())
     return rise / upright
