@@ -40,7 +40,7 @@ def test_buoyant_speed_of_a_column(height_m):
     "tilt_deg, faster", [(30, 1.0746), (45, 1.1892), (60, 1.4142), (75, 1.1615), (90, 1), (180, 1)]
 )
 def test_wind_leaves_the_rise_as_it_is(tilt_deg, faster):
-    """Of a column s long, tilted by a: rise sqrt(s cos a), over cos a. Beyond 60 degrees less; lying or hanging none."""
+    """Of a column s long, tilted by a: rise sqrt(s cos a), over cos a. Beyond 60 degrees less; lying none."""
     axis = FlameAxis.of(column())
     turned = np.array([np.sin(np.deg2rad(tilt_deg)), 0, np.cos(np.deg2rad(tilt_deg))])
     tilted = replace(axis, layers=replace(axis.layers, direction=turned))
