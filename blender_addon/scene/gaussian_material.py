@@ -112,12 +112,6 @@ def _splat(nodes: Nodes, hit, ray, place) -> None:
     front = nodes.math("SUBTRACT", 1.0, hit["Backfacing"])
     inside = nodes.math("LESS_THAN", squared, EXTENT**2)  # what is around an ellipsoid may be much larger
     opacity = nodes.math("MULTIPLY", nodes.math("MULTIPLY", alpha, falloff), nodes.math("MULTIPLY", front, inside))
-    # Each sample either sees this Gaussian or passes, by chance: the same picture on average, but a ray ends after a
-    # few layers instead of crossing all of them, and dense parts have no noise because every sample ends in the flame.
-    chance = nodes.add(
-        "ShaderNodeTexWhiteNoise", {"Vector": hit["Position"], "W": alpha}, noise_dimensions="4D"
-    ).outputs["Value"]
-    seen = nodes.math("LESS_THAN", chance, opacity)
     clear = nodes.add("ShaderNodeBsdfTransparent").outputs[0]
-    mixed = nodes.add("ShaderNodeMixShader", {0: seen, 1: clear, 2: _glow(nodes)}).outputs[0]
+    mixed = nodes.add("ShaderNodeMixShader", {0: opacity, 1: clear, 2: _glow(nodes)}).outputs[0]
     nodes.add("ShaderNodeOutputMaterial", {"Surface": mixed})

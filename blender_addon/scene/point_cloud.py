@@ -92,6 +92,8 @@ def add_point_cloud(
     if cloud.datum:
         thing[DATUM] = cloud.datum.numbers().tolist()
     see_through.allow(bpy.context.scene)
+    if cloud.emissive:
+        see_through.pass_flame(bpy.context.scene)
     return thing
 
 

@@ -176,8 +176,7 @@ def run(args: argparse.Namespace) -> None:
     save_blend(args.blend)
     progress(2, total)
     if args.preview is not None:
-        # More than the pictures have that it is compared with cost most of the command's time, and show as much.
-        render_preview(args.preview, min(args.samples or scene.samples, scene.samples))
+        render_preview(args.preview, min(args.samples, scene.samples))
         progress(3, total)
     print(f"{thing.name}: {len(cloud)} Gaussians, {args.mode}")
 
@@ -218,7 +217,7 @@ def main(argv: list[str] | None = None) -> int:
     parser.add_argument("--camera", default="cam_0", help="rig camera of the preview")
     parser.add_argument("--mode", choices=("ellipsoids", "points", "splats"), default="ellipsoids", help="shapes")
     parser.add_argument(
-        "--samples", type=int, help="Cycles samples of the preview, at most the dataset's own; default: these"
+        "--samples", type=int, default=4, help="Cycles samples of the preview, at most the dataset's own; default: 4"
     )
     parser.add_argument("--overwrite", action="store_true", help="replace existing output files")
     args = parser.parse_args(argv)
