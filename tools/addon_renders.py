@@ -88,7 +88,7 @@ def side_by_side(result: Path, dataset: Path, folder: Path, frame: int, camera: 
     bpy.context.scene.frame_set(spec.timeline.blender_frame(frame))
     own, view = folder / "own.png", dataset / "cameras" / camera
     bpy.context.scene.camera = bpy.data.objects[camera]
-    import_result.render_preview(own, samples=16)
+    import_result.render_preview(own, samples=4)
     true = view / "rgb" / f"{frame:06d}.png"
     error = (pixels(own) - pixels(true)) ** 2
     flame = pixels(view / "mask" / f"{frame:06d}.png")[..., 0] > 0

@@ -261,3 +261,38 @@ def test_what_cannot_be_read_or_made_is_said_in_words(tmp_path):
     for folder in (tmp_path / "empty.json", tmp_path / "empty.json" / "inside"):
         with pytest.raises(SpecError, match="choose a(nother|  *new) output folder"):
             Layout(folder).claim(PLAIN)
+
+
+@pytest.mark.blender
+def test_no_gas_of_the_emitter_is_seen_below_the_rim_of_the_workshops_bowl():
+    fires = [
+        Fire(shape="logs", radius=0.2),
+        Fire(shape="sphere", radius=0.15, position=(0, 0, 0.17)),
+        Fire(shape="disc", radius=0.058),
+        Fire(shape="sphere", radius=0.2, position=(0.1, 0, 0.12)),  # reaches into the floor
+    ]
+    fields = {
+        str(k): {key: getattr(fire, key) for key in ("shape", "radius", "position")} for k, fire in enumerate(fires)
+    }
+    found = in_blender(
+        """
+        import numpy as np
+        from gof_blender.pure.fires import Fire
+        from gof_blender.scene.backgrounds import workshop
+        for name, fire in FIRES.items():
+            burner, here = Fire(**fire).burner, bpy.context.scene.collection
+            before = set(bpy.data.objects)
+            workshop._fire_bowl(burner, np.random.default_rng(0), here, None, None)
+            bowl = next(thing for thing in set(bpy.data.objects) - before if thing.name.startswith("Fire Bowl"))
+            x, y, top = burner.position
+            hits = []
+            for z in np.linspace(max(burner.bottom, 0), top, 12)[1:-1]:
+                for turn in np.linspace(0, 2 * np.pi, 9)[:8]:
+                    out = (np.cos(turn), np.sin(turn), 0)
+                    start = np.array((x, y, z)) + burner.radius * np.array(out) - bowl.location
+                    hits.append(bowl.ray_cast(start, out)[0])
+            result[name] = hits
+        """.replace("FIRES", repr(fields))
+    )
+    for name, hits in found.items():
+        assert len(hits) == 80 and all(hits), fires[int(name)]

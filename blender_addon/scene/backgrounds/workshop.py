@@ -187,17 +187,21 @@ def _crates(rng, collection, wood, paints) -> None:
 
 
 def _fire_bowl(burner: Burner, rng, collection, steel, stone) -> None:
-    """Add a steel bowl under the emitter, unless that lies in the floor, inside a ring of stones."""
+    """Add a steel bowl around the lower half of the emitter, unless that lies in the floor, inside a ring of stones.
+
+    It is wide and closed: what burns in it is seen over its rim only, not below it.
+    """
     x, y, top = burner.position
-    radius = 1.35 * burner.radius
+    radius, floor = 1.35 * burner.radius, max(0.9 * burner.bottom, 0.04 * top)
     profile = [
-        (0.5 * radius, 0.0),
-        (0.45 * radius, 0.3 * top),
-        (0.8 * radius, 0.55 * top),
+        (0.76 * radius, 0.0),
+        (0.88 * radius, 0.3 * top),
+        (0.96 * radius, 0.65 * top),
         (radius, top),
         (0.93 * radius, top),
-        (0.7 * radius, 0.66 * top),
-        (0.0, 0.6 * top),
+        (0.9 * radius, 0.65 * top + 0.35 * floor),
+        (0.75 * radius, floor),
+        (0.0, floor),
     ]
     if top > 0:
         meshes.lathe("Fire Bowl", profile, collection, 40, location=(x, y, 0), material=steel, smooth=True)
