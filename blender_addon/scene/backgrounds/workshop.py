@@ -1,4 +1,4 @@
-"""A cluttered workshop: brick wall, stone floor, shelves of boxes and tins, crates, posters, a fire bowl."""
+"""A cluttered workshop: brick wall, stone floor, shelves of boxes and tins, crates, posters, a hearth."""
 
 from __future__ import annotations
 
@@ -7,10 +7,10 @@ import math
 import bpy
 import numpy as np
 
-from ...pure.fires import Burner
+from ...pure.fires import Burner, Fire
 from ...pure.spec import SceneSpec
 from .. import material, meshes
-from . import light, sky
+from . import burner, light, sky
 
 
 def build(spec: SceneSpec, collection: bpy.types.Collection) -> None:
@@ -35,8 +35,12 @@ def build(spec: SceneSpec, collection: bpy.types.Collection) -> None:
     _shelf(rng, collection, (1.0, 1.6), wood, paints)
     _posters(rng, collection, 1.79)
     _crates(rng, collection, wood, paints)
+    if isinstance(spec.fire, Fire) and spec.fire.shape == "sphere":
+        _fire_bowl(spec.fire.burner, collection, steel)
+    else:
+        burner(spec, collection)
     if spec.fire.burner:
-        _fire_bowl(spec.fire.burner, rng, collection, steel, stone)
+        _hearth(spec.fire.burner, rng, collection, stone)
     for x, radius in ((-0.12, 0.035), (0.1, 0.025)):
         meshes.lathe(
             "Pipe", [(radius, 0.0), (radius, 4.0)], collection, 12, location=(x, 1.74, 0), material=steel, smooth=True
@@ -186,25 +190,9 @@ def _crates(rng, collection, wood, paints) -> None:
         )
 
 
-def _fire_bowl(burner: Burner, rng, collection, steel, stone) -> None:
-    """Add a steel bowl around the lower half of the emitter, unless that lies in the floor, inside a ring of stones.
-
-    It is wide and closed: what burns in it is seen over its rim only, not below it.
-    """
-    x, y, top = burner.position
-    radius, floor = 1.35 * burner.radius, max(0.9 * burner.bottom, 0.04 * top)
-    profile = [
-        (0.76 * radius, 0.0),
-        (0.88 * radius, 0.3 * top),
-        (0.96 * radius, 0.65 * top),
-        (radius, top),
-        (0.93 * radius, top),
-        (0.9 * radius, 0.65 * top + 0.35 * floor),
-        (0.75 * radius, floor),
-        (0.0, floor),
-    ]
-    if top > 0:
-        meshes.lathe("Fire Bowl", profile, collection, 40, location=(x, y, 0), material=steel, smooth=True)
+def _hearth(place: Burner, rng, collection, stone) -> None:
+    """Add a ring of stones around the burner."""
+    x, y, _ = place.position
     count = 11
     for index in range(count):
         angle = 2 * math.pi * (index + rng.uniform(-0.15, 0.15)) / count
@@ -218,3 +206,24 @@ def _fire_bowl(burner: Burner, rng, collection, steel, stone) -> None:
             turn_deg=math.degrees(angle),
             location=(x + 0.36 * math.cos(angle), y + 0.36 * math.sin(angle), size[2] / 2),
         )
+
+
+def _fire_bowl(place: Burner, collection, steel) -> None:
+    """Add a steel bowl around the lower half of the emitter, unless that lies in the floor.
+
+    It is wide and closed: what burns in it is seen over its rim only, not below it.
+    """
+    x, y, top = place.position
+    radius, floor = 1.35 * place.radius, max(0.9 * place.bottom, 0.04 * top)
+    profile = [
+        (0.76 * radius, 0.0),
+        (0.88 * radius, 0.3 * top),
+        (0.96 * radius, 0.65 * top),
+        (radius, top),
+        (0.93 * radius, top),
+        (0.9 * radius, 0.65 * top + 0.35 * floor),
+        (0.75 * radius, floor),
+        (0.0, floor),
+    ]
+    if top > 0:
+        meshes.lathe("Fire Bowl", profile, collection, 40, location=(x, y, 0), material=steel, smooth=True)
