@@ -31,7 +31,7 @@ from gof.host.terminal import progress_bar
 from gof.reconstruct.flow_field import FlowField
 from gof.reconstruct.flow_prior import FEATURES, VECTORS, WEIGHTS, FlameDescriber, FlowPrior, Network, evaluate_network
 from gof.reconstruct.observation import observe
-from gof.reconstruct.pace import Pace, PaceClues
+from gof.reconstruct.pace import Pace, PaceClues, stands
 from gof.reconstruct.several_flames import alone, several_flames
 from gof_benchmark.training.field_score import (
     best_constant,
@@ -120,11 +120,13 @@ class TrainingFlame:
 
     Attributes:
         pace: true mean speed of its gas, weighted by light, m/s.
+        stands: whether it stands; the pace of one that lies in the wind is not learned from.
     """
 
     clues: PaceClues
     pace: float
     samples: Samples
+    stands: bool
 
     @classmethod
     def of(cls, field: FlowField, truth: np.ndarray) -> TrainingFlame:
@@ -134,7 +136,7 @@ class TrainingFlame:
             raise GofError("a flame in which nothing moves cannot be trained on")
         pace = mean_speed(truth, field.emission)
         samples = Samples.of(describer, truth / pace, np.random.default_rng(0))
-        return cls(PaceClues.of(describer.axis, describer.log_light), pace, samples)
+        return cls(PaceClues.of(describer.axis, describer.log_light), pace, samples, stands(describer.axis))
 
 
 @dataclass(frozen=True)
@@ -392,7 +394,7 @@ def samples_of(clips: list[TrainingClip]) -> list[Samples]:
 
 
 def fitted_pace(clips: list[TrainingClip]) -> Pace:
-    flames = [flame for clip in clips for flame in clip.flames]
+    flames = [flame for clip in clips for flame in clip.flames if flame.stands]
     return Pace.fit([flame.clues for flame in flames], [flame.pace for flame in flames])
 
 

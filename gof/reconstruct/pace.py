@@ -23,7 +23,8 @@ from gof.reconstruct.log_light import LogLight, slope
 
 GRAVITY = 9.81  # m/s2
 LAW = 2.18  # of sqrt(g z): McCaffrey's 6.83 sqrt(z) on the axis of the continuous flame (NBSIR 79-1910)
-USUAL = np.array([4.0, 0.14, 0.6])  # of the clues; logarithms are taken from there
+BODY = 0.3, 0.9  # shares of the light below the ends of the part whose length counts
+USUAL = np.array([4.5, 0.14, 0.6])  # of the clues; logarithms are taken from there
 FARTHEST = np.log(4.0)  # a clue stranger than that counts no more: no flame of the benchmark is
 STIFFNESS = 0.05  # of the fit: as much as a twentieth of a flame that says "all clues mean nothing"
 UPRIGHT = 0.5  # cosine of a flame's tilt: below it up is likelier wrong than the flame blown down
@@ -66,16 +67,24 @@ class PaceClues:
 
 
 def buoyant_speed(axis: FlameAxis) -> float:
-    """Return the mean over the light of the law's rise at its height above the foot, along the flame's own axis. m/s.
+    """Return the law's rise over the length of the flame's body, along its own axis. m/s.
+
+    The body is what shines between BODY of the light: where a flame begins, burners hide, and its tip flickers.
 
     Wind carries gas sideways and leaves its rise as it is, so gas of a tilted flame is faster by 1 / cos(tilt). Beyond
     60 degrees that is believed less and less: a flame that lies, or hangs, counts as upright in a world that does not.
     """
+    share = np.cumsum(axis.mean_light) / axis.mean_light.sum()
+    low, high = np.interp(BODY, share, np.arange(axis.layers.count) * axis.layers.thickness)
+    length = max(high - low, 2 * axis.layers.thickness)
     upright = float(np.clip(axis.layers.direction[2], 0, 1))
-    upright = upright if upright >= UPRIGHT else 1 - upright
-    height = upright * (np.arange(axis.layers.count) * axis.layers.thickness - axis.foot).clip(0)
-    rise = float((axis.mean_light * LAW * np.sqrt(GRAVITY * height)).sum() / axis.mean_light.sum())
-    return rise / upright
+    upright = upright if stands(axis) else 1 - upright
+    return LAW * float(np.sqrt(GRAVITY * upright * length)) / upright
+
+
+def stands(axis: FlameAxis) -> bool:
+    """Return whether a flame is tilted so little that its rise can be believed."""
+    return bool(axis.layers.direction[2] >= UPRIGHT)
 
 
 def carried_speed(axis: FlameAxis, log_light: LogLight) -> float:
