@@ -32,23 +32,23 @@ def sky(colour, strength: float) -> None:
     bpy.context.scene.world = world
 
 
-def burner(spec: SceneSpec, collection: bpy.types.Collection) -> None:
+def add_burner(spec: SceneSpec, collection: bpy.types.Collection) -> None:
     """Add the thing that the fire burns on: logs, a ball, or a dish on a foot. It hides next to nothing of the fire."""
-    place, shape = spec.fire.burner, spec.fire.shape if isinstance(spec.fire, Fire) else "disc"
-    if place is None:
+    burner, shape = spec.fire.burner, spec.fire.shape if isinstance(spec.fire, Fire) else "disc"
+    if burner is None:
         return
-    x, y, z = place.position
+    x, y, z = burner.position
     if shape == "logs":
         bark = material.tiles("Bark", ((0.055, 0.035, 0.022), (0.02, 0.014, 0.01)), (0.008, 0.006, 0.005), (0.3, 0.04))
-        meshes.crossed_logs("Logs", 0.97 * place.radius, collection, spec.fire.logs, location=(x, y, z), material=bark)
+        meshes.crossed_logs("Logs", 0.97 * burner.radius, collection, spec.fire.logs, location=(x, y, z), material=bark)
         return
     steel = material.plain("Steel", (0.10, 0.11, 0.12), 0.45, 0.8)
     if shape == "sphere":
-        meshes.ellipsoid("Ball", [0.95 * place.radius] * 3, collection, location=(x, y, z), material=steel)
+        meshes.ellipsoid("Ball", [0.95 * burner.radius] * 3, collection, location=(x, y, z), material=steel)
         return
-    radius, rim = 1.12 * place.radius, z + 0.8 * place.half_height
+    radius, rim = 1.12 * burner.radius, z + 0.8 * burner.half_height
     profile = [(0.5 * radius, 0.0), (0.45 * radius, 0.4 * rim), (radius, rim), (0.94 * radius, rim)]
-    profile += [(0.8 * radius, rim - 1.5 * place.half_height), (0.0, rim - 1.8 * place.half_height)]
+    profile += [(0.8 * radius, rim - 1.5 * burner.half_height), (0.0, rim - 1.8 * burner.half_height)]
     meshes.lathe("Dish", profile, collection, 48, location=(x, y, 0.0), material=steel, smooth=True)
 
 

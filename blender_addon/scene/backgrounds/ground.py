@@ -6,7 +6,7 @@ import bpy
 
 from ...pure.spec import SceneSpec
 from .. import material, meshes
-from . import burner, light, sky
+from . import add_burner, light, sky
 
 EXTENT = 40.0  # of the ground, in sizes of the fire's box
 
@@ -24,7 +24,7 @@ def build(spec: SceneSpec, collection: bpy.types.Collection) -> None:
     meshes.box(
         "Wall", (3 * size, size / 20, 1.1 * size), collection, location=(0, 1.4 * size, 0.55 * size), material=wall
     )
-    burner(spec, collection)
+    add_burner(spec, collection)
     light(
         collection,
         (-1.2 * size, -1.3 * size, 2.0 * size),

@@ -10,7 +10,7 @@ import numpy as np
 from ...pure.fires import Burner, Fire
 from ...pure.spec import SceneSpec
 from .. import material, meshes
-from . import burner, light, sky
+from . import add_burner, light, sky
 
 
 def build(spec: SceneSpec, collection: bpy.types.Collection) -> None:
@@ -38,7 +38,7 @@ def build(spec: SceneSpec, collection: bpy.types.Collection) -> None:
     if isinstance(spec.fire, Fire) and spec.fire.shape == "sphere":
         _fire_bowl(spec.fire.burner, collection, steel)
     else:
-        burner(spec, collection)
+        add_burner(spec, collection)
     if spec.fire.burner:
         _hearth(spec.fire.burner, rng, collection, stone)
     for x, radius in ((-0.12, 0.035), (0.1, 0.025)):
@@ -190,9 +190,9 @@ def _crates(rng, collection, wood, paints) -> None:
         )
 
 
-def _hearth(place: Burner, rng, collection, stone) -> None:
+def _hearth(burner: Burner, rng, collection, stone) -> None:
     """Add a ring of stones around the burner."""
-    x, y, _ = place.position
+    x, y, _ = burner.position
     count = 11
     for index in range(count):
         angle = 2 * math.pi * (index + rng.uniform(-0.15, 0.15)) / count
@@ -208,13 +208,13 @@ def _hearth(place: Burner, rng, collection, stone) -> None:
         )
 
 
-def _fire_bowl(place: Burner, collection, steel) -> None:
+def _fire_bowl(burner: Burner, collection, steel) -> None:
     """Add a steel bowl around the lower half of the emitter, unless that lies in the floor.
 
     It is wide and closed: what burns in it is seen over its rim only, not below it.
     """
-    x, y, top = place.position
-    radius, floor = 1.35 * place.radius, max(0.9 * place.bottom, 0.04 * top)
+    x, y, top = burner.position
+    radius, floor = 1.35 * burner.radius, max(0.9 * burner.bottom, 0.04 * top)
     profile = [
         (0.76 * radius, 0.0),
         (0.88 * radius, 0.3 * top),
