@@ -69,7 +69,8 @@ class PaceClues:
 def buoyant_speed(axis: FlameAxis) -> float:
     """Return the law's rise over the length of the flame's body, along its own axis. m/s.
 
-    The body is what shines between BODY of the light: where a flame begins, burners hide, and its tip flickers.
+    The body lies between BODY of the light. Its length says more of the pace than height above the foot does, or than
+    the whole length: on fires left out (notebook/motion.md).
 
     Wind carries gas sideways and leaves its rise as it is, so gas of a tilted flame is faster by 1 / cos(tilt). Beyond
     60 degrees that is believed less and less: a flame that lies, or hangs, counts as upright in a world that does not.

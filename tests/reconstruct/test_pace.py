@@ -46,15 +46,6 @@ def test_wind_leaves_the_rise_as_it_is(tilt_deg, faster):
     assert buoyant_speed(tilted) / buoyant_speed(axis) == pytest.approx(faster, abs=2e-3)
 
 
-def test_a_burner_that_hides_the_foot_changes_little():
-    """A tenth of the column gone: the mean rise above its foot would fall by 5 %, that over its body by 2.5 %."""
-    whole = column()
-    hidden = whole.voxels.center[:, 2] < np.quantile(whole.voxels.center[:, 2], 0.1)
-    frames = [replace(f, emission=np.where(hidden, 0, f.emission).astype(np.float32)) for f in whole.frames]
-    less = buoyant_speed(FlameAxis.of(replace(whole, frames=tuple(frames))))
-    assert 0.93 < less / buoyant_speed(FlameAxis.of(whole)) < 1
-
-
 def carried(bands) -> float:
     field = column(bands=bands)
     return carried_speed(FlameAxis.of(field), LogLight.of(field))
