@@ -24,7 +24,7 @@ bpy.ops.wm.read_factory_settings(use_empty=True)
 scene = bpy.context.scene
 scene.view_settings.view_transform = transform
 render = scene.render
-render.engine, scene.cycles.samples, scene.cycles.use_denoising = "CYCLES", 4, False
+render.engine, scene.cycles.samples, scene.cycles.use_denoising = "CYCLES", int(sys.argv[8]), False
 scene.cycles.pixel_filter_type = "BOX"
 render.resolution_x, render.resolution_y = int(sys.argv[4]), int(sys.argv[5])
 scene.world = bpy.data.worlds.new("wall")
@@ -42,6 +42,7 @@ settings = render.image_settings
 settings.file_format, settings.color_mode = "PNG", "RGB"
 render.filepath = str(folder / "seen.png")
 bpy.ops.render.render(write_still=True)
+result["passed"] = scene.cycles.min_transparent_bounces
 image = bpy.data.images.load(render.filepath)
 image.colorspace_settings.name = "Non-Color"
 result["picture"] = np.array(image.pixels[:]).reshape(render.resolution_y, render.resolution_x, 4)[::-1, :, :3].tolist()
@@ -79,15 +80,16 @@ def test_a_flame_looks_as_its_renderer_draws_it(tmp_path, emissive, transform, w
     assert likeness(tmp_path, emissive, transform, wall) > least_db
 
 
-def likeness(folder: Path, emissive: bool, transform: str, wall: float, mode="ellipsoids", **where) -> float:
+def likeness(folder: Path, emissive: bool, transform: str, wall: float, mode="ellipsoids", samples=4, **where) -> float:
     """Return dB of the flame in Cycles against the renderer's picture of it."""
     g = flame(emissive)
     g.save(folder / "result.npz")
-    found = in_blender(SEEN, folder, transform, wall, WIDTH, HEIGHT, FOCAL, mode, **where)
+    found = in_blender(SEEN, folder, transform, wall, WIDTH, HEIGHT, FOCAL, mode, samples, **where)
     K = np.array([[FOCAL, 0, WIDTH / 2], [0, FOCAL, HEIGHT / 2], [0, 0, 1.0]])
     front = np.array([[1.0, 0, 0, 0], [0, 0, -1, 0.3], [0, 1, 0, 3], [0, 0, 0, 1]])
     camera = Camera("front", WIDTH, HEIGHT, K, front)
     wanted = np.clip(render(g, camera, 0.0, background=np.full((HEIGHT, WIDTH, 3), wall, np.float32))["color"], 0, 1)
+    assert (found["passed"] >= 256) == emissive, "surfaces of a flame that every ray passes"
     lit = np.abs(wanted - wall).max(-1) > 0.04
     assert 0.1 < lit.mean() < 0.7
     error = np.array(found["picture"])[lit] - wanted[lit]

@@ -1,6 +1,7 @@
 """The aim of the flow prior's training, and whether the uncertainty that it learns is right, on made-up numbers."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -8,9 +9,12 @@ import pytest
 torch = pytest.importorskip("torch")
 
 from gof.reconstruct.flow_prior import FEATURES, VECTORS, evaluate_network  # noqa: E402
+from gof.reconstruct.pace import PaceClues  # noqa: E402
 from gof_benchmark.training.flow_prior import (  # noqa: E402
     Samples,
     Scaling,
+    TrainingFlame,
+    fitted_pace,
     held_out_error,
     train_uncertainty,
     train_velocity,
@@ -56,6 +60,13 @@ def test_a_pace_that_is_too_high_is_an_error():
     unseen = samples(count=50, seed=3)
     said = held_out_error(scaling, right, unseen) + unseen.truth
     torch.testing.assert_close(held_out_error(scaling, right, replace(unseen, truth=said), pace=2.0), said / 2)
+
+
+def test_the_pace_is_not_learned_from_flames_that_lie():
+    """Five flames whose gas is twice as fast as it looks, and one that lies, whose gas is nine times as fast."""
+    clues = PaceClues(seen=1.0, buoyant=4.5, carried=0.6, slenderness=0.14, energy=1.0)
+    flames = [TrainingFlame(clues, 2.0, samples(10), True)] * 5 + [TrainingFlame(clues, 9.0, samples(10), False)]
+    assert fitted_pace([SimpleNamespace(flames=flames)]).of(clues) == pytest.approx(2.0)
 
 
 @pytest.mark.long
