@@ -32,6 +32,8 @@ WITHOUT_STRUCTURE = ("zero", "constant", "height_mean")  # fluctuation: L2 1, Co
 UNIFORM = ("zero", "constant")  # vorticity: L2 1, and no divergence
 POINTS = 40  # of a training's curve, at most
 TOO_GOOD = 0.05  # L2 of the velocities; no method from pictures has come near
+NEAR_MEAN = 1.2  # times the EVE L2 of the clip's true mean field; honest results have 1.4 to 4
+UNKNOWING = 0.95  # L2 of EVE's fluctuation from which on a result says next to nothing of what is unsteady
 LARGEST = 1e6  # of a figure: squares, sums and ratios of such numbers are numbers
 NOT_SHOWN = ("velocity_of", "flow_prior", "evaluate_s", "speed_ratio", "skill")
 
@@ -242,6 +244,10 @@ def too_good(scores: Scores) -> str:
             return f"{name} is {own:.4f}: is it the truth itself?"
         if own is not None and bound is not None and bound.l2 is not None and own < bound.l2:
             return f"{name} {own:.4f} is below {bound.l2:.4f}, what the truth at each centre scores: was it used?"
+    if eve is not None and "mean_field" in eve.baselines:
+        own, mean, unsteady = eve.l2, eve.baselines["mean_field"].l2, eve.fluctuation.l2
+        if own and mean and unsteady and own < NEAR_MEAN * mean and unsteady > UNKNOWING:
+            return f"EVE L2 {own:.4f} is near {mean:.4f}, the clip's true mean, and nothing unsteady: was it used?"
     return ""
 
 

@@ -20,9 +20,10 @@ from gof.evaluate import evaluate
 from gof.evaluate.dve_frame import dve
 from gof.evaluate.emission import FlameGrid
 from gof.evaluate.eve import ClipPlaces, score_eve
-from gof.evaluate.scores import Scores
+from gof.evaluate.scores import EveFigures, Scores
 from gof.evaluate.sequence import dve_sequence
 from gof.evaluate.settled import against_motion, settle
+from gof.evaluate.suite_board import too_good
 from gof.evaluate.visible import DRAWN, Visible, opacity_per_metre, pairs_plain
 from gof.render.rasterizer import MIN_ALPHA
 from tests.evaluate.analytic import Analytic, Sequence, make_gaussians
@@ -342,6 +343,11 @@ def test_the_true_mean_of_the_clip_has_no_fluctuation(scene):
     assert (found.fluctuation.l2, found.fluctuation.cos_sim) == (pytest.approx(1), pytest.approx(0, abs=1e-6))
     own = score_eve(honest, truth, flame, truth.times_s, places)
     assert own.fluctuation.l2 < 0.8 and own.fluctuation.cos_sim > 0.7
+    told, honest_eve = (EveFigures.of(one, 0.0) for one in (found, own))
+    golden = Scores.read(Path(__file__).parents[1] / "golden/gof-scores.json")
+    scores = [replace(golden, dve=replace(golden.dve, eve=one)) for one in (told, honest_eve)]
+    assert "the clip's true mean, and nothing unsteady" in too_good(scores[0])
+    assert "true mean" not in too_good(scores[1])
 
 
 # ---------------------------------------------------------------- what more nodes change; the motion
