@@ -1,7 +1,9 @@
 """Shared test material, all made here: small Gaussians, a small camera arc, and a dataset folder by the contract."""
 
 import os
+import shutil
 import sys
+import tempfile
 from collections import Counter
 from importlib.util import find_spec
 from pathlib import Path
@@ -97,6 +99,18 @@ def random_gaussians(n=40, seed=0, sh_coefficients=0) -> TransientGaussians:
         color=rng.random((n, sh_coefficients, 3) if sh_coefficients else (n, 3)),
         dynamic=rng.random(n) < 0.8,
     )
+
+
+@pytest.fixture(scope="session", autouse=True)
+def _own_temporary_folder(tmp_path_factory):
+    """Take away what programs that tests start leave with other temporary files."""
+    folder = tmp_path_factory.mktemp("tmp")
+    with pytest.MonkeyPatch.context() as environment:
+        environment.setattr(tempfile, "tempdir", str(folder))
+        for name in ("TMPDIR", "TEMP", "TMP"):
+            environment.setenv(name, str(folder))
+        yield
+    shutil.rmtree(folder, ignore_errors=True)
 
 
 @pytest.fixture
