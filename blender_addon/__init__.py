@@ -8,7 +8,7 @@ import atexit
 bl_info = {  # for Blender before 4.2; later versions read blender_manifest.toml
     "name": "Gaussians on Fire",
     "author": "Gaussians on Fire contributors",
-    "version": (0, 2, 0),
+    "version": (0, 3, 0),
     "blender": (3, 4, 0),
     "location": "3D View > Sidebar > Gaussians on Fire",
     "description": "Fire benchmarks with exact ground-truth velocity; reconstructions of fire as animated Gaussians",

@@ -30,7 +30,7 @@ if TYPE_CHECKING:  # for editors and type checkers; tests/test_front_door.py hol
     from gof.reconstruct import reconstruct as reconstruct
     from gof.sample import unpack_sample as unpack_sample
 
-__version__ = "0.2.0"
+__version__ = "0.3.0"
 
 _DOOR = {
     "Camera": "gof.core.cameras",

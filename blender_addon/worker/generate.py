@@ -41,7 +41,7 @@ from ..pure.layout import Layout
 from ..pure.spec import SceneSpec
 from .reporter import Reporter, exit_status, leave, run_alone
 
-GENERATOR_VERSION = "0.2.0"
+GENERATOR_VERSION = "0.3.0"
 
 
 def bake(spec: SceneSpec, layout: Layout, progress: Reporter) -> None:
