@@ -16,7 +16,7 @@ from gof.host.terminal import progress_bar
 from gof.look.charts import line_chart
 from gof_benchmark.fires import SPLITS, measures
 from gof_benchmark.fires.flames import Axis, Truth, View, ViewedFlame, flame_of
-from gof_benchmark.fires.measured import MeasuredFire, compare, read_waterloo
+from gof_benchmark.fires.measured import MeasuredFire, compare, read_database
 from gof_benchmark.fires.measures import ZONES, heskestad_heat, heskestad_height, mccaffrey_speed, puffing_law
 
 BANDS = ((0.1, 0.4), (0.4, 0.7), (0.7, 1.0))  # of the flame's height, through which structures are followed
@@ -40,8 +40,8 @@ class HowReal:
     clip_rate_hz: float = 0.0
     """At which videos were filmed; slow-motion files state another rate."""
     measured: Path | None = None
-    """Your copy of MaCFP's database (github.com/MaCFP/macfp-db): fires of the size of its methanol pool are held beside
-    the profiles measured there."""
+    """Your copy of MaCFP's database (github.com/MaCFP/macfp-db): fires of the size of its pools are held beside the
+    velocities measured there."""
     charts: Path | None = None
     """Also draw how_real_SOURCE.svg and how_real_flicker.svg into this folder."""
 
@@ -193,10 +193,12 @@ SEEN_HEAD = (
 MEASURED_HEAD = (
     "fire",
     "measured",
+    "its heat, kW",
     "points",
     "mean over, s",
     "mean speed / measured",
     "its error",
+    "within the stated uncertainty",
     "rms / measured",
     "its error",
 )
@@ -266,28 +268,29 @@ def measured_row(flame: ViewedFlame, measured: MeasuredFire) -> tuple[str, ...]:
     return (
         flame.name,
         measured.name,
+        _figure(measured.heat_kw, 0),
         str(found.points),
         _figure(found.over_s),
         _figure(found.mean_ratio),
         _figure(found.mean_error),
+        "-" if math.isnan(found.within) else f"{found.within:.0%}",
         _figure(found.rms_ratio),
         _figure(found.rms_error),
     )
 
 
-def measured_table(flames: list[ViewedFlame], measured: MeasuredFire) -> str:
-    """Return the table of the fires that are as wide, as hot and in still air, or a sentence that none is."""
-    same = [
-        flame
+def measured_table(flames: list[ViewedFlame], database: list[MeasuredFire]) -> str:
+    """Return the table of the fires that are as wide as a measured one, as hot and in still air; or that none is."""
+    pairs = [
+        (flame, measured)
         for flame in flames
+        for measured in database
         if flame.truth and not flame.truth.windy and measured.is_same(flame.truth.diameter_m, flame.truth.heat_kw)
     ]
-    if same:
-        return table(MEASURED_HEAD, [measured_row(flame, measured) for flame in same])
-    return (
-        f"None of these fires is that of '{measured.name}' ({measured.diameter_m:g} m, {measured.heat_kw:g} kW, "
-        "still air); gof generate waterloo makes one."
-    )
+    if pairs:
+        return table(MEASURED_HEAD, [measured_row(flame, measured) for flame, measured in pairs])
+    sizes = "; ".join(f"'{fire.name}' ({fire.diameter_m:g} m, {fire.heat_kw:g} kW)" for fire in database)
+    return f"None of these fires is one of these, in still air: {sizes}. gof generate waterloo makes one."
 
 
 def _figure(value: float, digits: int = 2) -> str:
@@ -393,7 +396,7 @@ def main(argv: list[str] | None = None) -> int:
                 update(done, len(places), note=str(place))
                 flames.append(flame_of(place, config.clip_rate_hz))
             update(len(places), len(places))
-        beside = measured_table(flames, read_waterloo(config.measured)) if config.measured else ""
+        beside = measured_table(flames, read_database(config.measured)) if config.measured else ""
     except GofError as e:
         print(f"how_real: {e}", file=sys.stderr)
         return 1

@@ -7,7 +7,7 @@ from gof.core.errors import DataFormatError
 from gof.core.fields import VelocityField, VelocitySequence
 from gof.core.fire import Hearth
 from gof_benchmark.fires import how_real
-from gof_benchmark.fires.measured import WATERLOO, Flow, compare, read_waterloo
+from gof_benchmark.fires.measured import NIST, SANDIA, WATERLOO, Flow, compare, read_database
 from tests.solvers.conftest import write_small_fire
 
 HEADER = "z (cm),r (cm),u-bar (m/s),u-rms (m/s),v-bar (m/s),v-rms (m/s),T-bar (K),T-rms (K)\n"  # as MaCFP writes it
@@ -36,6 +36,11 @@ def write_copy(folder, factor=1.0, heights=HEIGHTS_CM):
     return folder
 
 
+def read_only(copy):
+    (fire,) = read_database(copy)
+    return fire
+
+
 @pytest.fixture(scope="module")
 def flow(tmp_path_factory) -> Flow:
     cell, shape = 0.01, (40, 40, 32)
@@ -55,7 +60,7 @@ def flow(tmp_path_factory) -> Flow:
 
 
 def test_a_flow_is_equal_to_its_own_mean_and_rms(tmp_path, flow):
-    found = compare(flow, read_waterloo(write_copy(tmp_path)))
+    found = compare(flow, read_only(write_copy(tmp_path)))
     assert found.points == len(HEIGHTS_CM) * len(RADII_CM) and found.over_s == pytest.approx(0.19)
     assert found.mean_ratio == pytest.approx(1, abs=0.01) and found.mean_error < 0.01
     assert found.rms_ratio == pytest.approx(1, abs=0.01) and found.rms_error < 0.01
@@ -63,7 +68,7 @@ def test_a_flow_is_equal_to_its_own_mean_and_rms(tmp_path, flow):
 
 def test_a_faster_measured_fire_is_told(tmp_path, flow):
     """Twice as fast in all: half the ratio, and an error of half of what was measured."""
-    found = compare(flow, read_waterloo(write_copy(tmp_path, factor=2.0)))
+    found = compare(flow, read_only(write_copy(tmp_path, factor=2.0)))
     assert found.mean_ratio == pytest.approx(0.5, abs=0.01) and found.mean_error == pytest.approx(0.5, abs=0.01)
     assert found.rms_ratio == pytest.approx(0.5, abs=0.01) and found.rms_error == pytest.approx(0.5, abs=0.01)
 
@@ -77,37 +82,82 @@ def test_a_wobble_of_the_axis_counts_as_fluctuation(tmp_path):
     fields = [VelocityField(velocity, matrix, t) for t in (0.0, 0.1)]
     flow = Flow(VelocitySequence.create(tmp_path / "velocity.zarr", fields), np.zeros(3))
     (tmp_path / "Mean_and_rms_values_z6cm.csv").write_text(HEADER + f"6,8,1,{0.08 / np.sqrt(2)},0,0,0,0\n")
-    found = compare(flow, read_waterloo(tmp_path))
+    found = compare(flow, read_only(tmp_path))
     assert found.mean_error < 1e-6 and found.rms_ratio == pytest.approx(1, abs=1e-4)
 
 
+def test_the_energy_of_all_components_is_compared_where_it_was_measured(tmp_path):
+    """Sandia's: up by 0.3 and outwards by 0.4 at random signs, 0.125 m2/s2; a swirl that is steady has none."""
+    matrix = np.diag([0.05, 0.05, 0.05, 1.0])
+    matrix[:3, 3] = -1.0, -1.0, 0.0
+    x, y = (c.astype(float) for c in np.meshgrid(*[0.05 * (np.arange(40) + 0.5) - 1] * 2, indexing="ij"))
+    radius = np.hypot(x, y)
+    fields = []
+    for k in range(4):
+        velocity = np.zeros((40, 40, 24, 3), np.float32)
+        velocity[..., 0] = ((-1) ** (k // 2) * 0.4 * x / radius - y)[..., None]
+        velocity[..., 1] = ((-1) ** (k // 2) * 0.4 * y / radius + x)[..., None]
+        velocity[..., 2] = 2 + (-1) ** k * 0.3
+        fields.append(VelocityField(velocity, matrix, 0.1 * k))
+    flow = Flow(VelocitySequence.create(tmp_path / "velocity.zarr", fields), np.zeros(3))
+    (tmp_path / SANDIA).mkdir(parents=True)
+    for height in ("p3", "p9"):
+        file = tmp_path / SANDIA / f"Sandia_CH4_1m_Test24_{height}.csv"
+        file.write_text("x (m),U mean (m/s),W mean (m/s),TKE (m2/s2)\n-0.5,0.1,2,0.125\n0.3,0.1,2,0.125\n")
+    (tmp_path / SANDIA / "Sandia_CH4_1m_Test14_p5.csv").write_text("x (m),U mean (m/s),W mean (m/s)\n0.2,0,4\n")
+    without, fire = read_database(tmp_path)
+    assert (fire.name, fire.heat_kw, fire.diameter_m) == ("Sandia, CH4, Test24", 2070, 1.0)
+    np.testing.assert_allclose(fire.height_m, [0.301, 0.301, 0.903, 0.903])
+    found = compare(flow, fire)
+    assert found.points == 4 and found.mean_error < 1e-3 and np.isnan(found.within)
+    assert found.rms_ratio == pytest.approx(1, abs=0.01) and found.rms_error < 0.01
+    found = compare(flow, without)
+    assert found.mean_ratio == pytest.approx(0.5, abs=1e-3) and np.isnan([found.rms_ratio, found.rms_error]).all()
+
+
+def test_the_axis_is_held_beside_the_stated_uncertainty(tmp_path, flow):
+    """NIST's: 6 cm is right, 12 cm within what is stated, 20 cm is not."""
+    (tmp_path / NIST).mkdir(parents=True)
+    rows = "".join(f"{z},0,{mean(z / 100, 0) + off},0.2\n" for z, off in ((6, 0.0), (12, 0.15), (20, -0.3)))
+    (tmp_path / NIST / "Propane_50_kW_37_cm_U_r=0_Sung_2024.csv").write_text("z,r,U,Uc_U\ncm,cm,m/s,m/s\n" + rows)
+    heat = "Time,HRR,MLR\ns,kW,kg/s\n0,50.1,0.001\n600,50.1,0.001\n"
+    (tmp_path / NIST / "Propane_37_cm_50_kW_HRR_Sung_2024.csv").write_text(heat)
+    fire = read_only(tmp_path)
+    assert (fire.name, fire.diameter_m, fire.heat_kw) == ("NIST, Propane, 50 kW", 0.37, 50.1)
+    found = compare(flow, fire)
+    assert found.points == 3 and found.within == pytest.approx(2 / 3) and np.isnan(found.rms_ratio)
+
+
 def test_points_outside_the_domain_are_left_out(tmp_path, flow):
-    found = compare(flow, read_waterloo(write_copy(tmp_path / "some", heights=(20, 30))))
+    found = compare(flow, read_only(write_copy(tmp_path / "some", heights=(20, 30))))
     assert found.points == len(RADII_CM)
     with pytest.raises(DataFormatError, match=r"velocity.zarr: none of the points of 'Waterloo"):
-        compare(flow, read_waterloo(write_copy(tmp_path / "none", heights=(30, 40))))
+        compare(flow, read_only(write_copy(tmp_path / "none", heights=(30, 40))))
 
 
 def test_what_is_no_copy_of_the_database_is_named(tmp_path):
     with pytest.raises(DataFormatError, match="holds neither .*MaCFP/macfp-db"):
-        read_waterloo(tmp_path)
+        read_database(tmp_path)
     file = tmp_path / "Mean_and_rms_values_z6cm.csv"
     file.write_text(HEADER.replace("u-rms", "w-rms") + "6,0,1,1,1,1,1,1\n")
     with pytest.raises(DataFormatError, match=r"z6cm.csv: has no column 'u-rms \(m/s\)'"):
-        read_waterloo(tmp_path)
+        read_database(tmp_path)
     file.write_text(HEADER + "6,0,1,\n")
     with pytest.raises(DataFormatError, match="z6cm.csv: cannot be read as a table of numbers"):
-        read_waterloo(tmp_path)
+        read_database(tmp_path)
     file.write_text(HEADER + "6,0,1,nan,1,1,1,1\n")
     with pytest.raises(DataFormatError, match="one that is not finite"):
-        read_waterloo(tmp_path)
+        read_database(tmp_path)
 
 
 def test_the_command_prints_fires_of_the_same_size_only(tmp_path, capsys):
     copy = write_copy(tmp_path / "copy", heights=(6, 12, 18))
     write_small_fire(tmp_path / "small", shape=(12, 12, 8))  # a burner of 0.2 m
     assert how_real.main([str(tmp_path / "small"), "--measured", str(copy)]) == 0
-    assert "None of these fires is that of 'Waterloo, methanol' (0.305 m, 21.3 kW" in capsys.readouterr().out
+    assert (
+        "None of these fires is one of these, in still air: 'Waterloo, methanol' (0.305 m, 21.3 kW"
+        in capsys.readouterr().out
+    )
     write_small_fire(
         tmp_path / "same", shape=(12, 12, 8), hearths=(Hearth(21.0, 0.3, (0.0, 0.0, 0.0), 0.02),), name="same"
     )
