@@ -98,12 +98,13 @@ Then 0.31 of it, with `0.44` and Python 3.11.
 
 def test_kept_figures_say_where_they_are_from(tmp_path):
     (tmp_path / "tables.md").write_text(PRINTED)
-    evidence.keep("rows", PRINTED, "gof study score", "HEAD", tmp_path)
+    evidence.keep("rows", PRINTED, "gof study score", "HEAD", 90.0, "a CPU", tmp_path)
     about = json.loads((tmp_path / "rows.json").read_text())
     assert about["command"] == "gof study score" and re.fullmatch(r"\d{4}-\d\d-\d\d", about["date"])
     assert evidence.wrong_quotes("4.6<!-- evidence: rows / a, 30 / off (us) --> us", tmp_path) == []
     assert re.fullmatch(r"[0-9a-f]{7,40}", about["commit"])
-    assert evidence.caption("rows", tmp_path) == f"`gof study score`, commit {about['commit']} of {about['date']}"
+    origin = f"commit {about['commit']} of {about['date']}"
+    assert (about["seconds"], evidence.caption("rows", tmp_path)) == (90, f"`gof study score`, {origin}, a CPU")
 
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda p: str(p.relative_to(ROOT)))

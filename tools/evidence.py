@@ -4,8 +4,9 @@ Each script's figures go to evidence/NAME.json, with command, commit, date, CPU 
 there is kept. Without names, all scripts run that need no dataset; the others are listed with what they need. A
 single one can have words of its own: python -m tools.evidence choices -- data/fire --only ours
 
-Figures of runs that take hours, or were made elsewhere, are kept: `--keep TABLES.md --commit C NAME -- COMMAND` puts
-the tables of a Markdown file into evidence/NAME.json with the command that made them and the commit's date.
+Figures of runs that take hours, or were made elsewhere, are kept: `--keep TABLES.md --commit C --seconds S NAME --
+COMMAND` puts the tables of a Markdown file into evidence/NAME.json with the command that made them, the commit's date,
+the seconds that it took, and the CPU: this machine's, or `--cpu TEXT`.
 
 A page quotes figures below a comment on a line of its own, which a code host hides and the site turns into a line that
 says command, commit, date and CPU: <!-- evidence: ring_accuracy --> or, of several files, <!-- evidence: a, b -->
@@ -104,16 +105,16 @@ def run(name: str, words: list[str], folder: Path = FOLDER) -> str:
     return ""
 
 
-def keep(name: str, tables: str, command: str, commit: str, folder: Path = FOLDER) -> None:
-    """Write the file of figures that nothing here prints again; CPU and seconds are null: unknown."""
+def keep(name: str, tables: str, command: str, commit: str, seconds: float, cpu: str, folder: Path = FOLDER) -> None:
+    """Write the file of figures that nothing here prints again."""
     about = {
         "schema": SCHEMA,
         "version": VERSION,
         "command": command,
         "commit": _git("rev-parse", "--short", commit),  # HEAD is another one tomorrow
         "date": _git("show", "--no-patch", "--format=%as", commit),
-        "cpu": None,
-        "seconds": None,
+        "cpu": cpu,
+        "seconds": seconds,
     }
     write_json(folder / f"{name}.json", about | {"figures": tables_in(tables), "printed": tables.splitlines()})
 
@@ -218,11 +219,14 @@ def main(argv: list[str] | None = None) -> int:
         "--keep", metavar="TABLES.md", type=Path, help="keep these tables as NAME; -- COMMAND made them"
     )
     parser.add_argument("--commit", metavar="C", help="with --keep: of the code that made them")
+    parser.add_argument("--seconds", metavar="S", type=float, help="with --keep: how long that took, all runs together")
+    parser.add_argument("--cpu", default=cpu_name(), help="with --keep: where; default: this machine's")
     asked = parser.parse_args(words)
     if asked.keep:
-        if own is None or len(asked.names) != 1 or not asked.commit:
-            parser.error("--keep wants one NAME, --commit, and the command after --")
-        keep(asked.names[0], asked.keep.read_text(encoding="utf-8"), " ".join(own), asked.commit)
+        if own is None or len(asked.names) != 1 or not asked.commit or asked.seconds is None:
+            parser.error("--keep wants one NAME, --commit, --seconds, and the command after --")
+        tables = asked.keep.read_text(encoding="utf-8")
+        keep(asked.names[0], tables, " ".join(own), asked.commit, asked.seconds, asked.cpu)
         return 0
     if unknown := set(asked.names) - set(known):
         parser.error(f"no such script: {', '.join(sorted(unknown))}; benchmark/evidence/README.md lists them")
