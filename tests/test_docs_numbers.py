@@ -103,6 +103,7 @@ NOT_AT_TOY_SIZE = {
     "into_room": "needs a fire that lights its room; tests/io/test_into_room.py has its measure in closed form",
     "ingest_memory": "needs ffmpeg; its size is the claim",
     "picture_costs": "renders two dozen pictures by Blender; their size is the claim",
+    "film_school": "renders a fire three times by Blender",
     "looks_sheet": "bakes and renders every scene three times by Blender",
     "noise_truth": "needs two fires baked by Blender; checks/test_motion.py tests its measures",
     "open_sockets": "runs every command, Blender's too",
