@@ -25,7 +25,8 @@ from gof_benchmark.commands import generate
 from gof_blender.pure import spec as scene_spec
 from gof_blender.pure.spec import SceneSpec
 
-FIRE_FREE = 30  # frames before the fire
+FIRE_FREE = 64  # frames before the fire
+NOISE = 1 / 255  # of a sensor: no two pictures are equal
 COLUMNS, TEXT_PX, GAP = 3, 13, 8
 SIGNS = {"good": "\N{CHECK MARK}", "look": "!", "bad": "\N{MULTIPLICATION SIGN}"}
 Film = np.ndarray  # (T, H, W, 3) display values in [0, 1]
@@ -45,7 +46,8 @@ class FilmSchool:
 
 def near(spec: SceneSpec) -> SceneSpec:
     """Return the cameras as the tutorial wants them: 10 degrees apart, the flame as large as the picture."""
-    return replace(spec, cameras=replace(spec.cameras, arc_deg=20.0, around_frames=0))
+    cameras = replace(spec.cameras, arc_deg=20.0, around_frames=0)
+    return replace(spec, cameras=cameras, render=replace(spec.render, samples=2, plate_samples=16))
 
 
 PLACES: dict[str, Callable[[SceneSpec], SceneSpec]] = {
@@ -93,14 +95,15 @@ def main(argv: list[str] | None = None) -> None:
     config = tyro.cli(FilmSchool, prog="python -m gof_benchmark.evidence.film_school", args=argv)
     spec = scene_spec.load(config.demo / "spec.json")
     datasets = {name: _filmed(change(spec), config, name) for name, change in PLACES.items()}
-    tiles = []
+    tiles, usual = [], set()
     for name, (place, change, rate) in SET_UPS.items():
         films = [change(film) for film in _films(datasets[place])]
         folder = config.work / name.replace(" ", "_")
         videos = [_write(film, folder / f"cam_{c}.mp4", spec.clip.fps * rate) for c, film in enumerate(films)]
-        found = worst(look_over(videos))
+        found = [finding for finding in worst(look_over(videos)) if finding.about not in usual]
         print(f"\n{name}", *(f"  {f.verdict} {f.about}: {f.words}" for f in found), sep="\n", flush=True)
-        tiles.append(_tile(films[1][-4], name, found))
+        usual = usual or {finding.about for finding in found if finding.verdict == "look"}  # of the good one
+        tiles.append(_tile(films[1][-4], name, found if tiles else []))
     _sheet(tiles).save(config.out, quality=85, method=6)
 
 
@@ -125,11 +128,12 @@ def _filmed(spec: SceneSpec, config: FilmSchool, name: str) -> Dataset:
 
 def _films(dataset: Dataset) -> list[Film]:
     """Return what each of three cameras films: first the place, then the fire."""
-    frames = range(len(dataset.times_s))
-    return [
-        np.concatenate([[dataset.static(c)] * FIRE_FREE, [dataset.image(c, k) for k in frames]]).astype(np.float32)
-        for c in range(3)
-    ]
+    films, rng = [], np.random.default_rng(0)
+    for c in range(3):
+        fire = [dataset.image(c, k) for k in range(len(dataset.times_s))]
+        film = np.array([dataset.static(c)] * FIRE_FREE + fire, np.float32)
+        films.append(np.clip(film + rng.normal(0, NOISE, film.shape), 0, 1).astype(np.float32))
+    return films
 
 
 def _write(film: Film, path: Path, rate_hz: float) -> Path:
