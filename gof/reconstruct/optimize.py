@@ -101,10 +101,10 @@ class Monitor(Protocol):
     """Listeners to the optimisation while it runs."""
 
     def progress(self, done: int, total: int, note: str) -> None:
-        """Steps done, and the loss in words."""
+        """Take the count of steps done, and the loss in words."""
 
     def evaluate(self, step: int, gaussians: TransientGaussians, plates: list[np.ndarray]) -> str | None:
-        """At EVALUATE_AT and the last step; returns what to show of the held-out pictures, or None.
+        """Return what to show of the held-out pictures, at EVALUATE_AT and the last step, or None.
 
         Args: see `Surroundings.result`.
         """
@@ -223,7 +223,7 @@ class Flame:
         )
 
     def shown(self, f: int, c: int, unseen: UnseenView | None) -> Raw:
-        """The raw parameters of those that a step's views can see; the others stay as they are in this step."""
+        """Return raw parameters of those that a step's views can see; the others stay as they are in this step."""
         if self._density is not None:  # it counts in how many pictures a Gaussian is, alight or not
             return self.optimizer
         views = [(self._time_s(f, c), self.cameras[c])]
@@ -324,7 +324,7 @@ class TrainingPictures:
 
 
 def _loss(drawn: Drawn, pictures: TrainingPictures, f: int, c: int, alpha_loss: float) -> Any:
-    """The loss of camera c's picture of frame f; a Dr.Jit tensor of one number, differentiable."""
+    """Return the loss of camera c's picture of frame f; a Dr.Jit tensor of one number, differentiable."""
     loss = l1_ssim(drawn.color, pictures.target(f, c), ssim_weight=SSIM_WEIGHT)
     return loss + alpha_loss * dr.mean(drawn.share * pictures.outside(f, c))
 

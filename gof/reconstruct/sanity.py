@@ -329,7 +329,7 @@ def _light(views: list[_View], middle: np.ndarray) -> Iterator[Fault]:
 
 
 def _agreement(view: _View, others: list[_View], middle: np.ndarray) -> tuple[float, float]:
-    """The best correlations with another camera, of light over the planes and of its change; 1 where there is none.
+    """Return the best correlations with another camera: of light over the planes, of its change; 1 without any.
 
     The best, because in a pair with a wrong camera both are wrong.
     """

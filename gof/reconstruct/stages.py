@@ -112,7 +112,7 @@ def _say_what_from(run: Run, observation: Observation) -> None:
 
 
 def make_still_scene(run: Run, observation: Observation) -> TransientGaussians | None:
-    """Static Gaussians of the plates, in the fire's light where the method has it; None where plates are drawn."""
+    """Make static Gaussians of the plates, in the fire's light where the method has it; None where plates are drawn."""
     settings = run.settings
     if settings.scene == "plates":
         return None
@@ -126,7 +126,7 @@ def make_still_scene(run: Run, observation: Observation) -> TransientGaussians |
 
 
 def still_steps(settings: ReconstructionSettings) -> int:
-    """Steps of the still scene, at least one."""
+    """Return the steps of the still scene, at least one."""
     return max(round(STILL_STEPS * settings.iterations), 1)
 
 
@@ -293,7 +293,7 @@ def _snapshot(run: Run) -> Path:
 def _show(
     run: Run, held_out: HeldOut, name: str, caption: str, gaussians: TransientGaussians, plates: list[np.ndarray]
 ) -> None:
-    """A held-out frame beside what the Gaussians make of it, where there is one."""
+    """Save a held-out frame beside what the Gaussians make of it, where there is one."""
     image = held_out.side_by_side(gaussians, plates)
     if image is not None:
         stage_images.save_image(run.out / "stages", name, f"A held-out frame, above {caption}", image)

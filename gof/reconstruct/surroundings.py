@@ -45,7 +45,7 @@ class Surroundings(Protocol):
         """Return the raw parameters that the optimisation may change, by name."""
 
     def draw(self, flame: Splats, camera: int, near: float, unknowns: Any) -> Drawn:
-        """The camera's view with the flame in it.
+        """Draw the camera's view with the flame in it.
 
         Args:
             near: m, Gaussians closer to the camera are not drawn.   unknowns: where those of `unknowns` are now.
@@ -58,7 +58,7 @@ class Surroundings(Protocol):
         """
 
     def result(self, flame: TransientGaussians, unknowns: Any) -> tuple[TransientGaussians, list[np.ndarray]]:
-        """The whole result, and the plates it is to be drawn over; none where it is whole.
+        """Return the whole result, and the plates it is to be drawn over; none where it is whole.
 
         C x (H, W, 3) display values, and where something stands before the flame a fourth (`gof.dataset.plates`).
         """

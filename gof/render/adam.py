@@ -42,7 +42,7 @@ class Adam(opt.Adam):
         super().__init__(*args, **kwargs)
 
     def only(self, names: Iterable[str], rows: np.ndarray) -> dict[str, Any]:
-        """Some rows of parameters of N rows each, by name, differentiable: the others have gradient 0 in this step.
+        """Return these rows of parameters of N rows each, by name, differentiable; others have gradient 0 in this step.
 
         Rows that a picture does not show cost nothing then: the next `step` reads and moves these rows only, as
         `mask_updates` (that must be on) does with gradients of 0. Where the native kernels run it writes to the
@@ -84,14 +84,14 @@ class Adam(opt.Adam):
                 self._move(key, planes, part.rows if key in part.values else None)
 
     def _count(self, key: str) -> int:
-        """Steps of a parameter, with this one."""
+        """Return a parameter's steps, with this one, and note it."""
         value, promoted, rate, (t, *moments, extra) = self.state[key]
         steps = int(t[0]) + 1
         self.state[key] = value, promoted, rate, (dr.uint32_array_t(Float)(steps), *moments, extra)
         return steps
 
     def _move(self, key: str, gradient: list[Float], rows: Any) -> None:
-        """A step of a parameter by its columns' gradients, or of these rows of it in its memory."""
+        """Move a parameter by its columns' gradients, or these rows of it in its memory."""
         from gof.render.native.adam import adam, adam_rows
 
         steps = self._count(key)

@@ -144,7 +144,7 @@ class Kernels:
 
 
 def kernels() -> Kernels:
-    """The only place that decides: $GOF_RENDER_KERNELS if it is set, else the native ones where they run.
+    """Choose the kernels, here alone: $GOF_RENDER_KERNELS if it is set, else the native ones where they run.
 
     Raises:
         GofError: the variable names neither, or forces the native ones where they cannot run.
@@ -182,7 +182,7 @@ def _obstacle_to_native() -> str | None:
 
 
 def _set_work_unit(lanes: int) -> None:
-    """Replaced below where the LLVM backend offers it."""
+    """Do nothing; replaced below where the LLVM backend offers it."""
 
 
 @contextmanager
@@ -245,7 +245,7 @@ def floats(array) -> Float:
 
 
 def whole_numbers(array) -> UInt:
-    """The same of numbers from 0 on, as an array of uint32."""
+    """Copy whole numbers from 0 on, of any shape, into a flat array of uint32."""
     return _copied(np.ascontiguousarray(array, np.uint32).reshape(-1), UInt)
 
 

@@ -81,7 +81,7 @@ class Rows:
 
 
 def take(columns: list[np.ndarray], rows: Rows) -> list[Float]:
-    """These rows of K columns (N,)."""
+    """Return these rows of K columns (N,)."""
     out = [dr.empty(Float, len(rows.index)) for _ in columns]
     tasks = list(zip(columns, [column.numpy() for column in out], strict=True))
     run(lambda k: _take(tasks[k][0], rows.index, rows.runs, tasks[k][1]), [(k,) for k in range(len(tasks))])
