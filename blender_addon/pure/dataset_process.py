@@ -21,7 +21,7 @@ from ..core.time_left import TimeLeft, duration
 from . import cost_model, effects
 from . import spec as scene_spec
 from .brightness import Brightness
-from .child import JobError, Said, code, last_lines
+from .child import JobError, WorkerMessages, code, last_lines
 from .layout import Layout
 from .spec import SceneSpec
 
@@ -75,7 +75,7 @@ class Job:
         self._heard = 0.0
         self._waiting = stages(spec)
         self._process: subprocess.Popen | None = None
-        self._said = Said()
+        self._said = WorkerMessages()
         self._start = 0.0
         self._log = StageLog(layout.costs)
 
@@ -149,7 +149,7 @@ class Job:
                 stdout=subprocess.PIPE,
                 stderr=errors,
             )
-        self._said = Said(self._process.stdout)
+        self._said = WorkerMessages(self._process.stdout)
         self._heard = 0.0
         self._pace.reach(self.stage, 0.0)
 

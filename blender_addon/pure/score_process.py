@@ -11,8 +11,8 @@ from pathlib import Path
 
 from ..core.errors import GofError
 from ..core.time_left import TimeLeft, duration
-from .child import JobError, Said, code
-from .dve import Scores
+from .child import JobError, WorkerMessages, code
+from .dve import MotionScores
 
 INSTALL = (
     "install it there: in the folder of the Gaussians on Fire source run `make setup`, and choose its .venv/bin/python "
@@ -40,7 +40,7 @@ class Evaluation:
 
     def __init__(self, by: str, command: list[str], folder: Path):
         """``command`` writes folder/scores.json. Raises EvaluationError: it cannot be started."""
-        self.by, self.scores = by, Scores()
+        self.by, self.scores = by, MotionScores()
         self._folder, self._program = folder, command[0]
         self._log = folder / "log.txt"
         self._started = time.monotonic()
@@ -56,7 +56,7 @@ class Evaluation:
                 f"{command[0]}: cannot be run ({error.strerror}); choose the Python that gof is installed in, or "
                 f"{INSTALL}"
             ) from None
-        self._said = Said(self._process.stdout)
+        self._said = WorkerMessages(self._process.stdout)
 
     @classmethod
     def by_gof(cls, python: Path, result: Path, dataset: Path, time_unit_s: float = 0.0) -> Evaluation:
@@ -102,7 +102,7 @@ class Evaluation:
         try:
             if status:
                 raise EvaluationError(self._reason())
-            self.scores = Scores.read(self._folder / "scores.json")
+            self.scores = MotionScores.read(self._folder / "scores.json")
         except GofError as error:
             raise EvaluationError(str(error)) from None
         finally:

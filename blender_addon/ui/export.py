@@ -225,11 +225,11 @@ class GOF_OT_export_points(_CloudExport, bpy.types.Operator):
         _find_packages()
         recording = Recording.of(scene, thing)
 
-        def frames() -> Iterator[tuple[int, usd_points.Points]]:
+        def frames() -> Iterator[tuple[int, usd_points.VisibleGaussians]]:
             for frame, time_s in _with_progress(recording):
                 yield frame, usd_points.at(recording.cloud, time_s, recording.least, recording.time_scale)
 
-        clock = usd_points.Clock(scene.frame_start, scene.frame_end, recording.rate)
+        clock = usd_points.SceneFrames(scene.frame_start, scene.frame_end, recording.rate)
         usd_points.write(path, frames(), clock, np.array(thing.matrix_world), scene.unit_settings.scale_length)
 
 

@@ -161,7 +161,7 @@ class GOF_OT_import_result(bpy.types.Operator, ImportHelper):
                 return {"CANCELLED"}
             spot = place.on_top_of(under) if self.spot == "OBJECT" else context.scene.cursor.location.copy()
         render = context.scene.render
-        clock = clouds.Clock(self.fps or render.fps / render.fps_base, self.clip_seconds or None)
+        clock = clouds.CloudTiming(self.fps or render.fps / render.fps_base, self.clip_seconds or None)
         try:
             source = self._source()
             number = clouds.count(source) // self.step

@@ -23,7 +23,7 @@ from gof.look.animation import original
 from gof.look.tiles import Tile, depth_tile, dimmed, picture_tile, velocity_tile
 from gof.look.velocity import fastest, of_result, true_there, unit
 from gof.reconstruct.flow_field import FlowField, FrameField
-from gof.reconstruct.seen import Seen
+from gof.reconstruct.seen import RunInputs
 from gof.render import render
 
 SHRUNK = 0.3  # of the Gaussians' size in the tile of seeds: each is seen by itself
@@ -70,14 +70,14 @@ def training_frame(dataset: Dataset, camera: int, time_s: float | None) -> int:
     return min(frames, key=lambda k: abs(float(dataset.camera_times_s(camera)[k]) - time_s))
 
 
-def modalities(dataset: Dataset, seen: Seen, sources: Sources, camera: int, frame: int) -> Modalities:
+def modalities(dataset: Dataset, seen: RunInputs, sources: Sources, camera: int, frame: int) -> Modalities:
     """Return the tiles of one camera and one training frame.
 
     Args:
         dataset: at full size.   seen: what the run in `sources.run` saw of it.
         camera, frame: numbers.
     """
-    view, out = _View(dataset, seen, sources, camera, frame), Modalities()
+    view, out = _FrameTiles(dataset, seen, sources, camera, frame), Modalities()
     seeds, result = (view.gaussians(name, out) for name in ("seeds", "result"))
     depths = view.depths(result, out)
     velocities = view.velocities(result)
@@ -93,10 +93,10 @@ def modalities(dataset: Dataset, seen: Seen, sources: Sources, camera: int, fram
     return out
 
 
-class _View:
+class _FrameTiles:
     """One camera at one training frame."""
 
-    def __init__(self, dataset: Dataset, seen: Seen, sources: Sources, number: int, frame: int):
+    def __init__(self, dataset: Dataset, seen: RunInputs, sources: Sources, number: int, frame: int):
         self.dataset, self.seen, self.sources, self.number, self.frame = dataset, seen, sources, number, frame
         self.camera: Camera = dataset.cameras[number]
         self.small: Camera = seen.dataset.cameras[number]

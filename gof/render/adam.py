@@ -16,7 +16,7 @@ from gof.render.blend import as_plane
 
 @dataclass(frozen=True)
 class _Part:
-    """Rows that a step moves: `gof.render.native.adam.Rows`, and their values, whose gradients count."""
+    """Rows that a step moves: `gof.render.native.adam.RowRuns`, and their values, whose gradients count."""
 
     rows: Any
     values: dict[str, Any]
@@ -58,9 +58,9 @@ class Adam(opt.Adam):
         if kernels().name != "native":
             index = whole_numbers(rows)
             return {name: _gathered(self[name], index) for name in names}
-        from gof.render.native.adam import Rows, take
+        from gof.render.native.adam import RowRuns, take
 
-        self._part = _Part(Rows.of(rows), {})
+        self._part = _Part(RowRuns.of(rows), {})
         for name in names:
             value, columns = self.state[name][0], self._in_memory(name).columns[0]
             self._part.values[name] = type(value)(*take(columns, self._part.rows))

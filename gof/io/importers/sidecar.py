@@ -15,7 +15,7 @@ ENDING = ".gof.json"
 
 
 @dataclass(frozen=True)
-class Said:
+class ImportSidecar:
     """The file of a result; fields as of `ImportOptions`. `world` counts from its folder."""
 
     SCHEMA: ClassVar[str] = "gof-import"
@@ -31,7 +31,7 @@ class Said:
     emissive: bool = False
 
 
-FIELDS = tuple(field.name for field in fields(Said))
+FIELDS = tuple(field.name for field in fields(ImportSidecar))
 
 
 def file_of(result: Path) -> Path:
@@ -44,7 +44,9 @@ def write_said(result: Path, options: ImportOptions) -> Path:
     """Write the file of a result, and return its path; an older one is replaced."""
     path = file_of(result)
     world = None if options.world is None else without_place(options.world, path.parent)
-    write_record(path, Said(**{name: getattr(options, name) for name in FIELDS if name != "world"}, world=world))
+    write_record(
+        path, ImportSidecar(**{name: getattr(options, name) for name in FIELDS if name != "world"}, world=world)
+    )
     return path
 
 
@@ -58,7 +60,7 @@ def with_said(result: Path, options: ImportOptions) -> tuple[ImportOptions, Path
     path = file_of(result)
     if not path.is_file():
         return options, None
-    said = read_record(Said, path)
+    said = read_record(ImportSidecar, path)
     values = {name: getattr(said, name) for name in FIELDS}
     if said.world is not None:
         values["world"] = Path(os.path.normpath(path.parent / said.world))

@@ -33,7 +33,7 @@ from gof.look.images import PLATE_QUALITY, PLATE_SIDE, VIRIDIS, base64_text, fra
 from gof.look.pages import template
 from gof.look.player import legend
 from gof.look.player.opened import G, Opened, middle_of, time_span
-from gof.look.player.quantise import Agreement, Packed, measure, pack, unpack
+from gof.look.player.quantise import Packed, PackedFidelity, measure, pack, unpack
 
 PLAYER = Path(__file__).parent
 SCRIPTS = ("unpack.js", "view.js", "draw.js", "pictures.js", "greet.js", "links.js", "player.js")
@@ -53,7 +53,7 @@ class Shared:
     path: Path
     bytes: int
     gaussian_bytes: list[int]
-    agreement: list[Agreement]
+    agreement: list[PackedFidelity]
     notes: list[str]
 
 
@@ -301,7 +301,7 @@ def _width(frames: list[str | None]) -> int | None:
     return None if first is None else Image.open(io.BytesIO(base64.b64decode(first))).width
 
 
-def _checked(gaussians: TransientGaussians, packed: Packed, setting: PageSetting) -> Agreement:
+def _checked(gaussians: TransientGaussians, packed: Packed, setting: PageSetting) -> PackedFidelity:
     cameras = setting.cameras
     some = [cameras[i] for i in sorted({int(k) for k in np.linspace(0, len(cameras) - 1, CHECKED)})]
     times = [setting.first_s + share * setting.length_s for share in np.linspace(0, 1, CHECKED + 2)[1:-1]]
@@ -315,7 +315,7 @@ def subtitle(results: Sequence[Opened], setting: PageSetting) -> str:
 
 
 def _facts(
-    results: list[Opened], packed: list[Packed], agreement: list[Agreement], dataset: Dataset | None, recorded: str
+    results: list[Opened], packed: list[Packed], agreement: list[PackedFidelity], dataset: Dataset | None, recorded: str
 ) -> list[tuple[str, str]]:
     """Return the text under "About this file"; it names no folder of its author."""
     facts = []
@@ -328,7 +328,7 @@ def _facts(
     return [*facts, ("made by", f"gof {gof.__version__}")]
 
 
-def in_words(agreement: Agreement) -> str:
+def in_words(agreement: PackedFidelity) -> str:
     """Quantisation's cost as people read it."""
     if not np.isfinite(agreement.psnr_db):
         return "draws the unquantised picture"
