@@ -132,11 +132,11 @@ class _CloudExport(ExportHelper):
 
     def execute(self, context):
         try:
-            said = self.write(context, context.object, Path(bpy.path.abspath(self.filepath)))
+            message = self.write(context, context.object, Path(bpy.path.abspath(self.filepath)))
         except (GofError, OSError, RuntimeError, voxels.VoxelError, MemoryError) as error:
             self.report({"ERROR"}, str(error) or "not enough memory; fewer frames, or larger voxels, need less")
             return {"CANCELLED"}
-        self.report({"INFO"}, said)
+        self.report({"INFO"}, message)
         return {"FINISHED"}
 
     @staticmethod

@@ -189,16 +189,16 @@ class GOF_OT_import_result(bpy.types.Operator, ImportHelper):
             other.select_set(False)
         thing.select_set(True)
         context.view_layer.objects.active = thing
-        said = f"{thing.name}: {len(cloud):,} Gaussians in {time.perf_counter() - started:.1f} s"
+        message = f"{thing.name}: {len(cloud):,} Gaussians in {time.perf_counter() - started:.1f} s"
         if clip := clip_in_scene.line(context.scene, thing):
-            said += f". {clip}"
+            message += f". {clip}"
         if cloud.datum:  # Blender knows seven digits: the datum's place is the origin here
-            said += ". The origin is x {:.10g}, y {:.10g}, z {:.10g} m of its world, and time 0 is {:.10g} s".format(
+            message += ". The origin is x {:.10g}, y {:.10g}, z {:.10g} m of its world, and time 0 is {:.10g} s".format(
                 *cloud.datum.numbers()
             )
         if _shows_no_colors(context):
-            said += f". {GREY}: press Show Colors in the panel"
-        self.report({"INFO"}, said)
+            message += f". {GREY}: press Show Colors in the panel"
+        self.report({"INFO"}, message)
         return {"FINISHED"}
 
     def _source(self) -> list[Path]:

@@ -234,9 +234,9 @@ def renamed(command: str, argv: list[str]) -> list[str]:
             words = [f"{name}={word}" for name, word in zip(names, given, strict=True)] + words[len(given) :]
             _say(command, plain, " ".join(words[: len(given)]))
         elif isinstance(change, Key):
-            said = "=".join([change.key, *_values(rest, change.count)])
-            collected.setdefault(change.name, []).append(said)
-            _say(command, plain, f"{change.name} {said}")
+            pair = "=".join([change.key, *_values(rest, change.count)])
+            collected.setdefault(change.name, []).append(pair)
+            _say(command, plain, f"{change.name} {pair}")
         elif isinstance(change, Word):
             words += [change.name, change.word]
             _say(command, plain, f"{change.name} {change.word}")

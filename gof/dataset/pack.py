@@ -298,7 +298,7 @@ def card(dataset: Dataset, licence: str, authors: tuple[str, ...], total: int) -
     Raises:
         DataFormatError: the true velocity cannot be read.
     """
-    said = description_lines(dataset, total)
+    facts = description_lines(dataset, total)
     made = dataset.description.provenance
     parts = [
         "---",
@@ -312,7 +312,7 @@ def card(dataset: Dataset, licence: str, authors: tuple[str, ...], total: int) -
         "",
         "| what | |",
         "|---|---|",
-        *(f"| {what} | {_plain(found)} |" for what, found in said.items()),
+        *(f"| {what} | {_plain(found)} |" for what, found in facts.items()),
         "",
         "Frames of `splits.test` in dataset.json are held out: no method may use them, nor flow from or to them.",
         "",

@@ -239,14 +239,14 @@ def score_again(run: Run, dataset: Dataset) -> Scores:
 def _about(submission: Submission, datasets: dict[str, Dataset]) -> Iterator[SubmissionFinding]:
     method = submission.method
     missing = method.missing()
-    said = f"does not say {', '.join(missing)}" if missing else "states authors, code and prior knowledge"
-    yield SubmissionFinding("method.json", "complete", "refused" if missing else "ok", said)
+    message = f"does not say {', '.join(missing)}" if missing else "states authors, code and prior knowledge"
+    yield SubmissionFinding("method.json", "complete", "refused" if missing else "ok", message)
     unknown = sorted(submission.runs.keys() - datasets.keys())
     if unknown:
         yield SubmissionFinding("scenes", "of the suite", "refused", f"{', '.join(unknown)}: no such scene here")
     absent = sorted(datasets.keys() - submission.runs.keys())
-    said = f"no result of {', '.join(absent)}: the row is shown but not ranked" if absent else "all there"
-    yield SubmissionFinding("scenes", "all of them", "hint" if absent else "ok", said)
+    message = f"no result of {', '.join(absent)}: the row is shown but not ranked" if absent else "all there"
+    yield SubmissionFinding("scenes", "all of them", "hint" if absent else "ok", message)
     few = sorted(scene for scene, runs in submission.runs.items() if len(runs) < SEEDS)
     if method.random and few:
         yield SubmissionFinding(
@@ -262,8 +262,8 @@ def _run(
 ) -> Iterator[SubmissionFinding]:
     pictures = _missing_pictures(run, dataset)
     absent = [MADE_FROM] * (not (run.folder / MADE_FROM).is_file()) + pictures
-    said = f"{', '.join(absent[:3])}{' ...' if len(absent) > 3 else ''} not there" if absent else "all there"
-    yield SubmissionFinding(name, "files", "refused" if absent else "ok", said)
+    message = f"{', '.join(absent[:3])}{' ...' if len(absent) > 3 else ''} not there" if absent else "all there"
+    yield SubmissionFinding(name, "files", "refused" if absent else "ok", message)
     gaussians = read_again(run, dataset)
     if (run.folder / CURVE).is_file():
         TrainingCurve.read(run.folder / CURVE)
@@ -311,8 +311,8 @@ def _frames(run: Run, dataset: Dataset, submission: Submission, name: str) -> It
     found = leaks(made_from.files, dataset.test_frames)
     if found:
         frames = sorted({frame for frames in found.values() for frame in frames})
-        said = f"{', '.join(found)} made from held-out frames {frames}"
-        yield SubmissionFinding(name, "held-out frames", "refused", said)
+        message = f"{', '.join(found)} made from held-out frames {frames}"
+        yield SubmissionFinding(name, "held-out frames", "refused", message)
     elif not made_from.files:
         yield SubmissionFinding(
             name, "held-out frames", "refused", f"{MADE_FROM} names no file: from which frames was it made?"
@@ -320,21 +320,21 @@ def _frames(run: Run, dataset: Dataset, submission: Submission, name: str) -> It
     else:
         yield SubmissionFinding(name, "held-out frames", "ok", "in nothing that it was made from, by its own word")
     if made_from.learned and not submission.method.prior:
-        said = f"{MADE_FROM} says that {', '.join(made_from.learned)} went in; method.json names no prior"
-        yield SubmissionFinding(name, "prior knowledge", "refused", said)
+        message = f"{MADE_FROM} says that {', '.join(made_from.learned)} went in; method.json names no prior"
+        yield SubmissionFinding(name, "prior knowledge", "refused", message)
     if run.scores.import_.over_plates and not any("plate" in given for given in submission.method.given):
-        said = "it is drawn over the dataset's plates; `given` in method.json does not name them"
-        yield SubmissionFinding(name, "plates", "refused", said)
+        message = "it is drawn over the dataset's plates; `given` in method.json does not name them"
+        yield SubmissionFinding(name, "plates", "refused", message)
 
 
 def _pictures(run: Run, dataset: Dataset, gaussians: MovingGaussians, name: str) -> SubmissionFinding:
     """Return the checkpoint draws the pictures that came with it."""
     ours = draw(gaussians, dataset, run.result, run.scores.import_.over_plates, dataset.test_frames)
     worst = min(((_like_the_submitted(run, dataset, shown), shown) for shown in ours), key=lambda pair: pair[0])
-    said = f"the least alike of them is {worst[0]:.1f} dB from its Gaussians drawn here (camera {worst[1].camera}, "
-    said += f"frame {worst[1].frame}; {ALIKE_DB:g} dB are required)"
+    message = f"the least alike of them is {worst[0]:.1f} dB from its Gaussians drawn here (camera {worst[1].camera}, "
+    message += f"frame {worst[1].frame}; {ALIKE_DB:g} dB are required)"
     return SubmissionFinding(
-        name, "checkpoint reproduces its pictures", "ok" if worst[0] >= ALIKE_DB else "refused", said
+        name, "checkpoint reproduces its pictures", "ok" if worst[0] >= ALIKE_DB else "refused", message
     )
 
 
@@ -368,9 +368,9 @@ def _unseen(run: Run, dataset: Dataset, gaussians: MovingGaussians, name: str) -
         )
     gap = over_frames(gaps, 0)
     worse = gap.mean > 0 and gap.p_value < 0.05
-    said = f"the flame in held-out frames is {gap.mean:.2f} ± {gap.half_width:.2f} dB worse than in their neighbours"
+    message = f"the flame in held-out frames is {gap.mean:.2f} ± {gap.half_width:.2f} dB worse than in their neighbours"
     return SubmissionFinding(
-        name, "unseen frames", "ok" if worse else "hint", said if worse else f"{said}: were they seen?"
+        name, "unseen frames", "ok" if worse else "hint", message if worse else f"{message}: were they seen?"
     )
 
 
@@ -384,8 +384,8 @@ def _flame_psnr(dataset: Dataset, shown: Shown) -> float:
 def _scores(run: Run, again: Scores, name: str) -> Iterator[SubmissionFinding]:
     """Yield whether its scores are those that it states."""
     if (dve := run.scores.dve) is not None and (dve.order, dve.opacity) != (ORDER, OPACITY):
-        said = f"scores.json has order {dve.order} and {dve.opacity} opacity; all are scored with {ORDER}, {OPACITY}"
-        yield SubmissionFinding(name, "scored as all others", "refused", said)
+        message = f"scores.json has order {dve.order} and {dve.opacity} opacity; all are scored with {ORDER}, {OPACITY}"
+        yield SubmissionFinding(name, "scored as all others", "refused", message)
     stated, ours = _figures(run.scores), _figures(again)
     off = [
         f"{key} is {ours[key]:.4f}, its scores.json says {stated[key]:.4f}"

@@ -431,8 +431,8 @@ def steady(seen: StillPoints, known: np.ndarray, name: str, numbers: np.ndarray)
         )
     else:
         moves = np.tile(np.eye(3), (len(moves), 1, 1))
-    gain, said = find_gains(seen, moves, known)
-    notes += [said] if said else []
+    gain, note = find_gains(seen, moves, known)
+    notes += [note] if note else []
     put_right = bool((gain != 1).any())
     frames: tuple[FrameCorrection, ...] = ()
     if moves_much or put_right:

@@ -199,11 +199,13 @@ def _plates(views: list[_CheckedView]) -> Iterator[Fault]:
         nearest = min(others, key=others.__getitem__, default=None)
         if own < PLATE[0]:
             continue
-        said = f"the pictures of camera '{view.camera.name}' differ from its plate by {own:.2f} outside the fire"
+        problem = f"the pictures of camera '{view.camera.name}' differ from its plate by {own:.2f} outside the fire"
         if turned < PLATE[1] * own:
-            yield Fault(f"{said}, and by {turned:.2f} from the plate turned by 180 degrees", True)
+            yield Fault(f"{problem}, and by {turned:.2f} from the plate turned by 180 degrees", True)
         elif nearest is not None and others[nearest] < PLATE[1] * own:
-            yield Fault(f"{said}, and by {others[nearest]:.2f} from that of '{nearest}': are the plates swapped?", True)
+            yield Fault(
+                f"{problem}, and by {others[nearest]:.2f} from that of '{nearest}': are the plates swapped?", True
+            )
 
 
 def _difference(view: _CheckedView, plate: np.ndarray, outside: np.ndarray) -> float:

@@ -65,7 +65,7 @@ def _obstacle_to_cuda() -> str:
     return "GOF_RENDER_BACKEND is 'cuda', but no NVIDIA GPU with its driver is found here; unset it to draw on the CPU"
 
 
-def _obstacle_to_llvm(said: str) -> str:
+def _obstacle_to_llvm(message: str) -> str:
     """Why libLLVM does not begin: first what the user has set, then what is installed, at last Dr.Jit's own words."""
     install = "Debian, Ubuntu: apt-get install libllvm19; elsewhere set DRJIT_LIBLLVM_PATH to libLLVM"
     if path := os.environ.get(LLVM_VARIABLE):
@@ -78,7 +78,7 @@ def _obstacle_to_llvm(said: str) -> str:
         memory = "; is memory limited (ulimit -v)?" if re.search("map segment|allocate memory", faults[-1]) else ""
         return f"libLLVM is installed, but {faults[-1]}{memory}"
     if found:
-        return f"libLLVM does not begin ({' '.join(said.split())[:200]})"
+        return f"libLLVM does not begin ({' '.join(message.split())[:200]})"
     return f"libLLVM was not found. {install}"
 
 

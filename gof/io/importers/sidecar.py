@@ -40,7 +40,7 @@ def file_of(result: Path) -> Path:
     return result.with_name(result.name + ENDING)
 
 
-def write_said(result: Path, options: ImportOptions) -> Path:
+def write_sidecar(result: Path, options: ImportOptions) -> Path:
     """Write the file of a result, and return its path; an older one is replaced."""
     path = file_of(result)
     world = None if options.world is None else without_place(options.world, path.parent)
@@ -50,7 +50,7 @@ def write_said(result: Path, options: ImportOptions) -> Path:
     return path
 
 
-def with_said(result: Path, options: ImportOptions) -> tuple[ImportOptions, Path | None]:
+def with_sidecar(result: Path, options: ImportOptions) -> tuple[ImportOptions, Path | None]:
     """Return options of a result: what the caller does not give is as its file says; and that file, where it has a
     part.
 
@@ -60,23 +60,23 @@ def with_said(result: Path, options: ImportOptions) -> tuple[ImportOptions, Path
     path = file_of(result)
     if not path.is_file():
         return options, None
-    said = read_record(ImportSidecar, path)
-    values = {name: getattr(said, name) for name in FIELDS}
-    if said.world is not None:
-        values["world"] = Path(os.path.normpath(path.parent / said.world))
+    record = read_record(ImportSidecar, path)
+    values = {name: getattr(record, name) for name in FIELDS}
+    if record.world is not None:
+        values["world"] = Path(os.path.normpath(path.parent / record.world))
     missing = {name: value for name, value in values.items() if value and not getattr(options, name)}
     return (replace(options, **missing), path) if missing else (options, None)
 
 
 def in_words(path: Path, options: ImportOptions) -> str:
     """Return a note for people: what was taken from the file."""
-    said = {name: getattr(options, name) for name in FIELDS}
+    values = {name: getattr(options, name) for name in FIELDS}
     return f"as {path.name} says: " + ", ".join(
         f"{name.removesuffix('_s').replace('_', ' ')} {value:g} s"
         if name.endswith("_s")
         else f"{name.replace('_', ' ')} {value}"
         if value is not True
         else name.replace("_", " ")
-        for name, value in said.items()
+        for name, value in values.items()
         if value
     )

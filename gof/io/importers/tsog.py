@@ -54,9 +54,9 @@ def _gaussians(
     """Return them on our clock, Z up, and what was assumed."""
     own, notes = meta.get("gof") or {}, []
     start_s = options.time_zero_s + float(own.get("start_s", 0))
-    clip_s, said = _clip_s(meta, options)
+    clip_s, assumption = _clip_s(meta, options)
     if not own:
-        notes += [f"its times 0..1 taken as {start_s:g} to {start_s + clip_s:g} s{said}"]
+        notes += [f"its times 0..1 taken as {start_s:g} to {start_s + clip_s:g} s{assumption}"]
         notes += ["its world taken as y up, in metres, and turned to Z up (else gof convert RESULT --align)"]
     place = pictures.pair(meta["means"], 3)
     middle, width = pictures.pair(meta["timeline"], 2).T
