@@ -120,7 +120,7 @@ def _cameras(spec: SceneSpec) -> Iterator[Implausibility]:
     low, high = np.array(box.min), np.array(box.max)
     foot = np.array(burner.position) if burner else np.array([*(low + high)[:2] / 2, low[2]])
     radius = burner.radius if burner else 0.0
-    thing, wide = (burner.name, 2 * radius) if burner else ("whole box of the grids", float(min((high - low)[:2])))
+    part, wide = (burner.name, 2 * radius) if burner else ("whole box of the grids", float(min((high - low)[:2])))
     axis = np.linspace(foot, [foot[0], foot[1], (foot[2] + high[2]) / 2], 9)
     sizes, burning, blind = {}, [], []
     for name, place, sees in zip(spec.cameras.names, positions(spec.cameras), seen(spec.cameras, axis), strict=True):
@@ -144,7 +144,7 @@ def _cameras(spec: SceneSpec) -> Iterator[Implausibility]:
     name = min(sizes, key=sizes.get, default="")
     if name and 0 < sizes[name] < PIXELS_ACROSS:
         more = spec.cameras.focal_mm * PIXELS_ACROSS / sizes[name]
-        text = f"cameras: in {name} the {thing} is {sizes[name]:.1f} pixels across"
+        text = f"cameras: in {name} the {part} is {sizes[name]:.1f} pixels across"
         yield Implausibility(f"{text}; cameras.focal_mm {more:.0f} makes it {PIXELS_ACROSS}, or go nearer", False)
 
 
