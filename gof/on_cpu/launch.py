@@ -12,10 +12,10 @@ from types import ModuleType
 
 from gof.core.errors import GofError, MissingDependencyError
 from gof.host.processes import run
-from gof.on_cpu import gaussian_rasterizer, methods
+from gof.on_cpu import baseline_methods, gaussian_rasterizer
+from gof.on_cpu.baseline_methods import REPAIRS, BaselineMethod, replace_gsplat
 from gof.on_cpu.devices import CpuForCuda, replace_cuda
 from gof.on_cpu.imports import missing
-from gof.on_cpu.methods import REPAIRS, BaselineMethod, replace_gsplat
 from gof.on_cpu.small_modules import Unused
 from gof.render import gsplat
 
@@ -34,7 +34,7 @@ def launch(
     mode = CpuForCuda(record.add if record else None)
     _begin(method, script, mode)
     if without_lpips:
-        methods.perceptual_loss_left_out()
+        baseline_methods.perceptual_loss_left_out()
     if record:
         _count_gaussians(record)
     sys.argv = [str(script), *arguments]
@@ -108,7 +108,7 @@ def method_of(name: str | None, script: Path) -> BaselineMethod:
     """
     if not script.is_file():
         raise GofError(f"{script}: no such script; give the path of a script in your checkout")
-    return methods.METHODS[name] if name else methods.by_imports(script)
+    return baseline_methods.METHODS[name] if name else baseline_methods.by_imports(script)
 
 
 def provenance(method: BaselineMethod, script: Path) -> str:

@@ -23,7 +23,7 @@ from gof.reconstruct.heldout import HeldOut
 from gof.reconstruct.methods import METHODS, Method
 from gof.reconstruct.optical_flow import flow_method
 from gof.reconstruct.presets import REST_S, seeing_s, step_ms
-from gof.reconstruct.seen import uses_flow_prior
+from gof.reconstruct.run_inputs import uses_flow_prior
 from gof.reconstruct.settings import ReconstructionSettings, Until
 from gof.reconstruct.shrink import shrink
 from gof.render.backend import kernels

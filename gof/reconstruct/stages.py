@@ -33,8 +33,8 @@ from gof.reconstruct.observation import Observation
 from gof.reconstruct.optical_flow import FlowMethod
 from gof.reconstruct.optimize import Schedule, Units, optimize
 from gof.reconstruct.presets import STILL_STEPS
+from gof.reconstruct.run_inputs import flow_field_of, observation_of, uses_flow_prior
 from gof.reconstruct.seeds import LIFETIME_FRAMES, lifetime_s, sample_seeds
-from gof.reconstruct.seen import flow_field_of, observation_of, uses_flow_prior
 from gof.reconstruct.settings import ReconstructionSettings
 from gof.reconstruct.shrink import enlarge
 from gof.reconstruct.surroundings import Plates, StillScene, Surroundings

@@ -7,7 +7,7 @@ import pytest
 
 from gof.core.gaussians import TransientGaussians
 from gof.dataset import Dataset
-from gof.reconstruct import seen
+from gof.reconstruct import run_inputs
 from gof.reconstruct.flow_prior import VOXELS
 from gof.reconstruct.gas import gas_at, told_of_gas, with_gas_of
 from gof.reconstruct.optical_flow import dis
@@ -176,13 +176,13 @@ def test_the_prior_is_asked_on_its_own_voxels_whatever_the_others_are(rising_fla
         size = np.full(3, field.voxels.voxel_size)
         return changed(field, velocity=lambda v: 0 * v + size, velocity_sd=np.zeros_like)
 
-    monkeypatch.setattr(seen.FlowPrior, "correct", correct)
+    monkeypatch.setattr(run_inputs.FlowPrior, "correct", correct)
     dataset = shrink(Dataset.open(rising_flame), 96)
     heard = []
     for voxels in (VOXELS, 24):
         settings = ReconstructionSettings("flame", iterations=5, gaussians=300, voxels=voxels, longest_side=96)
-        observation = seen.observation_of(dataset, settings, dis)
-        made = seen.flow_field_of(dataset, settings, observation, lambda done, total: heard.append((done, total)))
+        observation = run_inputs.observation_of(dataset, settings, dis)
+        made = run_inputs.flow_field_of(dataset, settings, observation, lambda done, total: heard.append((done, total)))
         assert made.voxels.voxel_size == pytest.approx(asked[0] * VOXELS / voxels, rel=0.1)
         frame = made.frames[2]
         sure = np.isfinite(frame.velocity_sd)

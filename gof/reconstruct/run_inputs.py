@@ -72,7 +72,7 @@ def uses_flow_prior(settings: ReconstructionSettings) -> bool:
     return settings.flow_prior and METHODS[settings.method].flow_prior
 
 
-def see_again(
+def recompute_inputs(
     dataset: Dataset, folder: Path, flow_weights: Path | None = None, progress: Progress | None = None
 ) -> RunInputs:
     """Compute the input of the reconstruction in a folder again, by its own settings. Nothing is written.
