@@ -26,7 +26,7 @@ from gof.reconstruct.background import BackgroundOptions, still_gaussians
 from gof.reconstruct.checkpoint import Spent, read_spent
 from gof.reconstruct.curve import Curve, CurveLog, CurvePoint
 from gof.reconstruct.flow_field import FlowField
-from gof.reconstruct.gas import told_of_gas
+from gof.reconstruct.gas import look_up_gas
 from gof.reconstruct.heldout import HeldOut
 from gof.reconstruct.methods import Method, rates_in_voxels
 from gof.reconstruct.observation import Observation
@@ -238,7 +238,7 @@ def fit(
             seeds, observation, windows, surroundings, schedule, units, checkpoint, monitor, unseen
         )
     if method.gas_apart:
-        gaussians = ablations.change_gas(settings.ablation, gaussians, told_of_gas(gaussians, field))
+        gaussians = ablations.change_gas(settings.ablation, gaussians, look_up_gas(gaussians, field))
     return gaussians, whole(plates), curve.curve
 
 
