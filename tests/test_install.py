@@ -219,7 +219,7 @@ ASKED = {
     + tuple(f"gof/on_cpu/{p.name}" for p in ON_CPU.glob("*.py")),
     "torchvision": ("gof/evaluate/image.py",),
     "torchmetrics": ("gof/evaluate/image.py",),
-    "gsplat": ("gof/on_cpu/methods.py",),
+    "gsplat": ("gof/on_cpu/baseline_methods.py",),
     "transformers": ("gof/ingest/depth.py",),
     "memfof": ("gof/reconstruct/optical_flow.py",),
     "pyserial": ("gof/capture/controller.py",),

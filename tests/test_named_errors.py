@@ -27,7 +27,7 @@ from gof.dataset import Dataset
 from gof.dataset.plates import background
 from gof.evaluate import evaluate
 from gof.evaluate.depth import read_depth
-from gof.evaluate.leaderboard import Row, collect, to_csv, to_markdown
+from gof.evaluate.leaderboard import LeaderboardRow, collect, to_csv, to_markdown
 from gof.footage.lens import Lens
 from gof.ingest.plates import read_plate
 from gof.reconstruct.background import plate_depths
@@ -119,15 +119,15 @@ def test_names_are_text_on_every_page(evaluated, tmp_path, capsys):
 @pytest.mark.parametrize("text", ["=1+1", "+1", "-1+2", "@SUM(A1)", "\t=1", "\r=1", '=HYPERLINK("http://x")', " =1"])
 def test_a_cell_is_no_formula(text):
     """Spreadsheets take what begins so as a formula, also in quotes; an apostrophe makes it text."""
-    row = next(iter(list(csv.reader(io.StringIO(to_csv([Row(name=text, method=text, l2=-1.5)]))))[1:]))
+    row = next(iter(list(csv.reader(io.StringIO(to_csv([LeaderboardRow(name=text, method=text, l2=-1.5)]))))[1:]))
     assert row[0] == row[1] == f"'{text.strip()}"
     assert "-1.5" in row, "numbers stay numbers"
-    plain = list(csv.reader(io.StringIO(to_csv([Row(name="a=b", method="4D-GS")]))))[1]
+    plain = list(csv.reader(io.StringIO(to_csv([LeaderboardRow(name="a=b", method="4D-GS")]))))[1]
     assert plain[:2] == ["a=b", "4D-GS"]
 
 
 def test_a_markdown_row_is_one_row():
-    text = to_markdown([Row(name="a|b\nc`*_<i>", method="m", l2=1.0)])
+    text = to_markdown([LeaderboardRow(name="a|b\nc`*_<i>", method="m", l2=1.0)])
     assert text.splitlines()[2] == r"| a\|b c\`\*\_&lt;i&gt; | 1.000 |" and len(text.splitlines()) == 3
 
 

@@ -1,7 +1,9 @@
-"""Names are not paths: what a file says of another file's name can neither write, read nor link outside its folder."""
+"""Names: those in files are no paths, which would write, read or link outside their folder; a class has its own."""
 
+import ast
 import json
 import os
+from collections import defaultdict
 from pathlib import Path
 
 import numpy as np
@@ -329,3 +331,38 @@ def test_a_lock_is_never_written_through_a_link(tmp_path):
     with pytest.raises(GofError, match=r"\.lock: is a link"), only_run_in(tmp_path / "d"):
         pass
     assert victim.read_text() == "precious"
+
+
+# ---------------------------------------------------------------- classes
+
+ROOMS = ("gof", "benchmark", "blender_addon", "firmware", "tools")
+SHARED = {
+    "Settings",  # of every effect, by the add-on's contract (blender_addon/pure/effects/__init__.py)
+}
+
+
+def classes_of_several(files: list[Path]) -> dict[str, list[Path]]:
+    """Return names of classes, nested and private ones too, that two or more of these files define."""
+    found = defaultdict(list)
+    for path in files:
+        tree = ast.parse(path.read_text(encoding="utf-8"))
+        for name in {node.name for node in ast.walk(tree) if isinstance(node, ast.ClassDef)}:
+            found[name].append(path)
+    return {name: paths for name, paths in found.items() if len(paths) > 1}
+
+
+@pytest.mark.checkout
+def test_a_class_has_a_name_of_its_own():
+    root = Path(__file__).parents[1]
+    files = [path for room in ROOMS for path in (root / room).rglob("*.py")]
+    product = [path for path in files if "checks" not in path.relative_to(root).parts]  # those are tests
+    found = classes_of_several(product)
+    wrong = [f"{name}: {', '.join(map(str, paths))}" for name, paths in found.items() if name not in SHARED]
+    assert not wrong, "give each its own name:\n" + "\n".join(wrong)
+    assert found.keys() >= SHARED, "an exception that is none any more"
+
+
+def test_a_name_of_two_classes_is_found(tmp_path):
+    (tmp_path / "a.py").write_text("class Row:\n    pass\n\n\nclass Column:\n    pass\n")
+    (tmp_path / "b.py").write_text("def f():\n    class Row:\n        pass\n")
+    assert classes_of_several([tmp_path / "a.py", tmp_path / "b.py"]) == {"Row": [tmp_path / "a.py", tmp_path / "b.py"]}

@@ -11,7 +11,7 @@ from gof.evaluate.leaderboard import Leaderboard
 from gof.evaluate.scores import Scores
 from gof.evaluate.suite_board import SuiteBoard
 from gof.evaluate.training_curve import TrainingCurve
-from gof_blender.pure.dve import Scores as AddOnScores
+from gof_blender.pure.dve import MotionScores
 
 
 @pytest.mark.parametrize("name, thing", [("gaussians", "TransientGaussians"), ("fields", "VelocityField")])
@@ -70,7 +70,7 @@ def test_scores_and_curves_have_their_old_names(tmp_path):
     with pytest.warns(DeprecationWarning, match=r"scores\.trivial_baselines"):
         assert scores.controls == scores.trivial_baselines != {}
     (tmp_path / "gof-scores.json").write_text(_as_0_2_wrote(golden.read_text()))
-    of_the_add_on = AddOnScores.read(tmp_path / "gof-scores.json")
-    assert of_the_add_on == AddOnScores.read(golden) and of_the_add_on.trivial_baselines.zero is not None
+    of_the_add_on = MotionScores.read(tmp_path / "gof-scores.json")
+    assert of_the_add_on == MotionScores.read(golden) and of_the_add_on.trivial_baselines.zero is not None
     (tmp_path / "curve.csv").write_text("step,processor_seconds,loss\n10,1,0.5\n20,2,0.25\n")
     assert TrainingCurve.read(tmp_path / "curve.csv").cpu_seconds == (1.0, 2.0)

@@ -17,7 +17,7 @@ from gof.commands import unpack as unpack_command
 from gof.commands.cli import main
 from gof.core.errors import DataFormatError, GofError
 from gof.dataset import Dataset
-from gof.dataset.pack import Truth, files_of, pack, unpack, verify
+from gof.dataset.pack import VelocityFingerprint, files_of, pack, unpack, verify
 from tests.evaluate.synthetic_flame import flame_dataset
 
 
@@ -41,11 +41,11 @@ def test_what_comes_out_is_what_went_in(dataset, archive, tmp_path):
     for name in files_of(dataset.path):
         assert (folder / name).read_bytes() == (dataset.path / name).read_bytes()
     assert not (folder / ".cache").exists()
-    assert Truth.of(Dataset.open(folder)) == Truth.of(dataset)
+    assert VelocityFingerprint.of(Dataset.open(folder)) == VelocityFingerprint.of(dataset)
     assert verify(folder) == len(files_of(dataset.path)) + 1  # the card
     card = (folder / "README.md").read_text()
     assert card.startswith('---\nlicense: "cc-by-4.0"\n') and "A. Author" in card and "<b>" not in card
-    assert "held out: 4" in card and Truth.of(dataset).sha256 in card
+    assert "held out: 4" in card and VelocityFingerprint.of(dataset).sha256 in card
 
 
 def test_tar_and_sha256sum_open_it(archive, tmp_path):
@@ -199,14 +199,14 @@ def test_the_commands(dataset, tmp_path, capsys):
 
 
 def test_a_truth_is_its_numbers(dataset, tmp_path):
-    found = Truth.of(dataset)
+    found = VelocityFingerprint.of(dataset)
     first = dataset.velocity.at(0.0).velocity.astype(np.float64)
     assert found.rms_m_s[0] == pytest.approx(np.sqrt((first**2).sum(-1).mean()), rel=1e-5)
     assert len(found.sha256) == len(hashlib.sha256().hexdigest())
     assert found.differs(found) == ""
-    other = Truth("0" * 64, tuple(1.02 * speed for speed in found.rms_m_s))
+    other = VelocityFingerprint("0" * 64, tuple(1.02 * speed for speed in found.rms_m_s))
     assert "1.96%" in found.differs(other)
-    assert "frames" in found.differs(Truth("0" * 64, (1.0,)))
+    assert "frames" in found.differs(VelocityFingerprint("0" * 64, (1.0,)))
 
 
 @pytest.mark.parametrize(

@@ -5,7 +5,7 @@ from dataclasses import replace
 import pytest
 
 from gof.core import time_left
-from gof.core.time_left import Machine, Paces, TimeLeft, duration
+from gof.core.time_left import MachineLoad, Paces, TimeLeft, duration
 from gof.reconstruct import pipeline
 
 
@@ -63,7 +63,7 @@ def test_what_was_done_by_an_earlier_run_says_nothing_of_the_pace():
 def test_earlier_work_of_the_kind_says_what_the_next_takes(tmp_path, monkeypatch):
     """A machine whose fits take three times the model's seconds, in a crowd that halves all cores."""
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
-    parts, crowd = {"fit": 10.0, "see": 4.0}, Machine(1.0, 2.0)
+    parts, crowd = {"fit": 10.0, "see": 4.0}, MachineLoad(1.0, 2.0)
     assert Paces.known().expected_s(parts, replace(crowd, slow=1.5)) == {"fit": 30.0, "see": 12.0}
     Paces.known().with_run("fit", 60.0 / 10.0 / crowd.crowded).keep()
     assert Paces.known().expected_s(parts, crowd) == pytest.approx({"fit": 60.0, "see": 8.0})
@@ -80,10 +80,10 @@ def test_earlier_work_of_the_kind_says_what_the_next_takes(tmp_path, monkeypatch
 @pytest.mark.parametrize(("crowded", "learned"), [(1.1, {"fit": 3.0}), (4.0, {})])
 def test_of_a_crowded_run_nothing_is_learned(tmp_path, monkeypatch, crowded, learned):
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
-    clock, machine = Clock(), Machine(1.0, crowded)
+    clock, machine = Clock(), MachineLoad(1.0, crowded)
     left = TimeLeft({"fit": 10.0}, clock)
     run(left, clock, "fit", 30.0 * crowded)
-    monkeypatch.setattr(Machine, "measured_now", lambda: machine)
+    monkeypatch.setattr(MachineLoad, "measured_now", lambda: machine)
     pipeline._learn({"fit": 10.0}, left, machine)
     assert Paces.known().ratios == pytest.approx(learned)
 
@@ -98,7 +98,7 @@ def test_a_probe_tells_slow_cores_from_a_crowd(monkeypatch):
 
     cores = len(time_left.os.sched_getaffinity(0))
     monkeypatch.setattr(time_left, "_probe", probe)
-    now = Machine.measured_now()
+    now = MachineLoad.measured_now()
     assert now.slow == pytest.approx(2.0) and now.crowded == pytest.approx(2.0, rel=0.3)
 
 

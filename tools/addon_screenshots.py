@@ -76,7 +76,7 @@ bpy.app.timers.register(obey, persistent=True)
 """
 
 
-class Window:
+class BlenderWindow:
     """A Blender on a virtual screen."""
 
     def __init__(self, work: Path, zip_path: Path):
@@ -124,7 +124,7 @@ class Window:
                 stderr=log,
             )
 
-    def __enter__(self) -> Window:
+    def __enter__(self) -> BlenderWindow:
         return self
 
     def __exit__(self, kind, *_) -> None:
@@ -233,7 +233,7 @@ def panel(number: int) -> tuple[int, int]:
     return FIRST_HEADER[0], FIRST_HEADER[1] + number * HEADER_STEP
 
 
-def fire(window: Window, out: Path) -> None:
+def fire(window: BlenderWindow, out: Path) -> None:
     """Show a fire on the default cube, seen through the rig's second camera."""
     window.key("n")
     window.wait(lambda: window.python("view.show_region_ui"))
@@ -253,7 +253,7 @@ def fire(window: Window, out: Path) -> None:
     window.photograph(out / "addon_fire.webp", crop="1600x1000+0+0", width=1000)
 
 
-def benchmark(window: Window, out: Path) -> None:
+def benchmark(window: BlenderWindow, out: Path) -> None:
     """Show a dataset of that scene: begun, stopped with Esc in the bake and in the pictures, gone on with, finished."""
     window.press(*BENCHMARK_BELOW, key="ctrl")  # opens it and closes the others
     folder = window.work / "cube_fire"
@@ -299,7 +299,7 @@ def benchmark(window: Window, out: Path) -> None:
     window.press(*panel(1))
 
 
-def reconstruction(window: Window, out: Path, result: Path, dataset: Path) -> None:
+def reconstruction(window: BlenderWindow, out: Path, result: Path, dataset: Path) -> None:
     """Show a reconstruction in an empty scene, chosen in the file dialog, and its score."""
     chosen = window.work / "chosen" / result.name
     chosen.parent.mkdir()
@@ -340,7 +340,7 @@ def reconstruction(window: Window, out: Path, result: Path, dataset: Path) -> No
     window.photograph(out / "addon_score.webp", crop="1600x1000+0+0", width=1000)
 
 
-def exports(window: Window) -> None:
+def exports(window: BlenderWindow) -> None:
     """OpenVDB files by the file dialog; and why Debian's Blender writes no points, said before the dialog."""
     folder = window.work / "exported"
     folder.mkdir()
@@ -383,7 +383,7 @@ def main() -> int:
     shutil.rmtree(work, ignore_errors=True)
     work.mkdir(parents=True)
     out.mkdir(parents=True, exist_ok=True)
-    with Window(work, build_addon.build(work)) as window:
+    with BlenderWindow(work, build_addon.build(work)) as window:
         time.sleep(5)
         fire(window, out)
         benchmark(window, out)

@@ -24,7 +24,7 @@ from gof.evaluate.training_curve import FILE as CURVE
 from gof.evaluate.training_curve import TrainingCurve
 from gof.host.terminal import progress_bar
 from gof.io.importers import ImportOptions
-from gof.io.importers.sidecar import with_said
+from gof.io.importers.sidecar import with_sidecar
 from gof_benchmark.suite.made import MadeScene, scene_of
 
 BESIDE = (MADE_FROM, "costs.json")  # of a reconstruction of ours, and its plates
@@ -126,7 +126,7 @@ def put_together(config: AddConfig, made: MadeScene, folder: Path) -> None:
     if config.curve is not None:
         shutil.copyfile(config.curve, folder / CURVE)
     say_frames(config, folder, made.dataset)
-    options, _ = with_said(config.result, ImportOptions())
+    options, _ = with_sidecar(config.result, ImportOptions())
     if options.world is not None:
         options = replace(options, world=_copied(options.world, folder))
     with progress_bar(made.scene.name) as progress:

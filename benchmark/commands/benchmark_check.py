@@ -10,7 +10,7 @@ import tyro
 
 from gof.commands.everywhere import write_figures
 from gof.commands.read import read_options
-from gof.evaluate.submission import Finding, Submission, check
+from gof.evaluate.submission import Submission, SubmissionFinding, check
 from gof.host.terminal import console
 from gof_benchmark.suite.made import made_scenes
 
@@ -48,7 +48,7 @@ def main(argv: list[str]) -> int:
     return 1 if any(finding.verdict == "refused" for finding in findings) else 0
 
 
-def verdict(findings: list[Finding]) -> str:
+def verdict(findings: list[SubmissionFinding]) -> str:
     """Return one sentence."""
     refused = [finding for finding in findings if finding.verdict == "refused"]
     hints = sum(finding.verdict == "hint" for finding in findings)

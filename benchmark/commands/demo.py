@@ -19,7 +19,7 @@ from gof.core.costs import StageCost, StageLog
 from gof.core.errors import GofError
 from gof.core.files import write_json
 from gof.core.records import claim, to_json
-from gof.core.time_left import Machine, Paces, duration
+from gof.core.time_left import MachineLoad, Paces, duration
 from gof.evaluate.scores import Scores
 from gof.host.processes import python_command
 from gof.host.worker import run_worker
@@ -178,7 +178,7 @@ def main(argv: list[str]) -> int:
 
 def run_stages(config: DemoConfig) -> None:
     """Run what is not finished, or older than what it is made from."""
-    log, machine = StageLog(config.out / "costs.json"), Machine.measured_now()
+    log, machine = StageLog(config.out / "costs.json"), MachineLoad.measured_now()
     to_come = expected_s(config, machine)
     print(f"about {duration(sum(to_come.values()))} in all on this machine as busy as it is now", file=sys.stderr)
     for stage in stages_of(config):
@@ -198,7 +198,7 @@ def run_stages(config: DemoConfig) -> None:
         print(f"{stage.name}: {cost.seconds:.0f} s, {cost.peak_mb:.0f} MB")
 
 
-def expected_s(config: DemoConfig, machine: Machine) -> dict[str, float]:
+def expected_s(config: DemoConfig, machine: MachineLoad) -> dict[str, float]:
     """Return seconds of the clock that each stage that is not finished should take, by its name."""
     spec, frames = spec_of(config), round(7 / 8 * spec_of(config).clip.frames)
     effort = effort_of("preview", config.steps, config.gaussians)

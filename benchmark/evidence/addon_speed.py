@@ -39,7 +39,7 @@ class AddonSpeed:
 
 
 @dataclass(frozen=True)
-class Case:
+class ShownResult:
     """A result of so many Gaussians, shown by the add-on (kind "cloud", in a mode) or as baked frames ("baked")."""
 
     count: int
@@ -53,14 +53,14 @@ class Case:
 
 
 CASES = [
-    Case(100_000, ".npz"),
-    Case(100_000, ".npz", mode="ellipsoids"),
-    Case(100_000, ".npz", mode="arrows"),
-    Case(100_000, ".npz", mode="streaks"),
-    Case(100_000, ".npz", kind="baked"),
-    Case(1_000_000, ".npz"),
-    Case(1_000_000, ".ply"),
-    Case(1_000_000, ".npz", kind="baked"),
+    ShownResult(100_000, ".npz"),
+    ShownResult(100_000, ".npz", mode="ellipsoids"),
+    ShownResult(100_000, ".npz", mode="arrows"),
+    ShownResult(100_000, ".npz", mode="streaks"),
+    ShownResult(100_000, ".npz", kind="baked"),
+    ShownResult(1_000_000, ".npz"),
+    ShownResult(1_000_000, ".ply"),
+    ShownResult(1_000_000, ".npz", kind="baked"),
 ]
 
 
@@ -84,7 +84,7 @@ def main(argv: list[str] | None = None) -> None:
         "peak MB |"
     )
     print("|---" * 8 + "|")
-    costs: dict[Case, Cost] = {}
+    costs: dict[ShownResult, Cost] = {}
     with tempfile.TemporaryDirectory() as folder:
         for case in CASES:
             path = Path(folder) / f"{case.count}{case.suffix}"
@@ -97,20 +97,20 @@ def main(argv: list[str] | None = None) -> None:
         write_json(config.json, [asdict(case) | asdict(cost) for case, cost in costs.items()])
 
 
-def row(case: Case, cost: Cost) -> str:
+def row(case: ShownResult, cost: Cost) -> str:
     imported = f"{cost.import_s:.2f} ({cost.import_cpu_s:.2f})"
     frame = f"{1000 * cost.frame_s:.1f} ({1000 * cost.frame_cpu_s:.1f})"
     memory = f"{cost.mb:.0f} | {share_of_arrays(case, cost):.2f} | {cost.peak_mb:.0f}"
     return f"| {case.count:,} | {case.suffix} | {case.shown_as} | {imported} | {frame} | {memory} |"
 
 
-def share_of_arrays(case: Case, cost: Cost) -> float:
+def share_of_arrays(case: ShownResult, cost: Cost) -> float:
     """Memory held, over the size of the result's arrays."""
     return cost.mb / (case.count * BYTES_EACH / 1e6)
 
 
-def print_goals(costs: dict[Case, Cost]) -> None:
-    large = [Case(1_000_000, suffix) for suffix in (".npz", ".ply")]
+def print_goals(costs: dict[ShownResult, Cost]) -> None:
+    large = [ShownResult(1_000_000, suffix) for suffix in (".npz", ".ply")]
     import_s = max(costs[case].import_cpu_s for case in large)
     share = max(share_of_arrays(case, costs[case]) for case in large)
     goals = [
@@ -118,7 +118,7 @@ def print_goals(costs: dict[Case, Cost]) -> None:
         ("memory held / arrays, 1e6 points", share, 1.5, share <= 1.5),
     ]
     for mode in ("points", "ellipsoids", "arrows", "streaks"):
-        case = Case(100_000, ".npz", mode=mode)
+        case = ShownResult(100_000, ".npz", mode=mode)
         rate, share = 1 / costs[case].frame_cpu_s, share_of_arrays(case, costs[case])
         goals.append((f"playback of 1e5 {mode}, frames per CPU s", rate, 10.0, rate >= 10.0))
         goals.append((f"memory held / arrays, 1e5 {mode}", share, 2.0, share <= 2.0))

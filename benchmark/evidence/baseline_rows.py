@@ -152,7 +152,7 @@ class BaselineRows:
 
 
 @dataclass(frozen=True)
-class Training:
+class BaselineTraining:
     """Command lines, run in turn, of which the one with `--curve` trains; what comes out, and how it is added.
 
     `result`: where several files match its name, the one of the last step.   `said`: what its files do not say, as
@@ -168,7 +168,7 @@ class Training:
 # ---------------------------------------------------------------- the methods: their settings, their command lines
 
 
-def wu(config: BaselineRows, data: Path, out: Path) -> Training:
+def wu(config: BaselineRows, data: Path, out: Path) -> BaselineTraining:
     """`arguments/hypernerf/default.py` at fewer steps, a fifth of them coarse; temporal resolution half the frames."""
     steps, fine = config.steps, config.steps * 4 // 5
     share, count = fine / 14_000, len(Dataset.open(data).times_s)
@@ -196,10 +196,10 @@ OptimizationParams = dict(
     train += ("--configs", f"{out}/settings.py", "--save_iterations", f"{fine}", "--test_iterations", "10000000")
     export = (*start, "--trajectory", f"{out}/wu.npz", f"{script}", f"{out}/model", f"{data}")
     commands = (train + ("--expname", "x"), export)
-    return Training(commands, out / "wu.npz", settings={out / "settings.py": settings})
+    return BaselineTraining(commands, out / "wu.npz", settings={out / "settings.py": settings})
 
 
-def yang(config: BaselineRows, data: Path, out: Path) -> Training:
+def yang(config: BaselineRows, data: Path, out: Path) -> BaselineTraining:
     """`configs/dnerf/*.yaml` at fewer steps, one picture a step, pictures as large as they are."""
     steps, share = config.steps, config.steps / 30_000
     settings = f"""gaussian_dim: 4
@@ -226,10 +226,10 @@ OptimizationParams: {{iterations: {steps}, position_lr_init: 0.00016, position_t
     train = ("-m", "gof", "baseline", "--method", "yang", "--curve", f"{out}/curve.csv", f"{config.yang}/train.py")
     train += ("--config", f"{out}/settings.yaml", "--test_iterations", "-1", "--save_iterations", f"{steps}")
     said = ("--time-unit", f"{duration(data)}")
-    return Training((train,), out / f"model/chkpnt{steps}.pth", said, {out / "settings.yaml": settings})
+    return BaselineTraining((train,), out / f"model/chkpnt{steps}.pth", said, {out / "settings.yaml": settings})
 
 
-def freetime(config: BaselineRows, data: Path, out: Path) -> Training:
+def freetime(config: BaselineRows, data: Path, out: Path) -> BaselineTraining:
     """Return its `default_keyframe_small`; starting points by its own script.
 
     It writes nothing at a step whose frame it was not given (one in eight is held out), hence the last eight steps.
@@ -245,10 +245,10 @@ def freetime(config: BaselineRows, data: Path, out: Path) -> Training:
     train += tuple(f"{step}" for step in range(steps - 7, steps + 1))
     train += ("--eval-steps", "10000000", "--lambda-perc", "0", "--disable-viewer", "--render-traj-n-frames", "2")
     said = ("--time-unit", f"{duration(data)}", "--world", f"{view}/sparse/0")
-    return Training((start, train), out / "model/ckpts/ckpt_*.pt", said)
+    return BaselineTraining((start, train), out / "model/ckpts/ckpt_*.pt", said)
 
 
-def grid4d(config: BaselineRows, data: Path, out: Path) -> Training:
+def grid4d(config: BaselineRows, data: Path, out: Path) -> BaselineTraining:
     """`arguments/hypernerf/vrig_*.py` at fewer steps, in a box of 1.6 m around the origin: what is outside stands
     still."""
     steps, share = config.steps, config.steps / 30_000
@@ -268,7 +268,7 @@ deform_lr_max_steps = position_lr_max_steps = {steps}
     return _deformed("grid4d", config.grid4d, config, data, out, more, {out / "settings.py": settings})
 
 
-def deformable(config: BaselineRows, data: Path, out: Path) -> Training:
+def deformable(config: BaselineRows, data: Path, out: Path) -> BaselineTraining:
     """Return its own defaults at fewer steps."""
     share = config.steps / 40_000
     schedule = {"warm_up": 3000, "densify_from_iter": 500, "densify_until_iter": 15_000}
@@ -285,13 +285,13 @@ def _deformed(
     out: Path,
     more: tuple[str, ...],
     settings: dict[Path, str],
-) -> Training:
+) -> BaselineTraining:
     """Train on the `nerfds` view and export, for the two methods whose network stands beside their Gaussians."""
     script, start = f"{checkout}/train.py", ("-m", "gof", "baseline", "--method", name)
     train = (*start, "--curve", f"{out}/curve.csv", script, "-s", f"{data}/NeRF/nerfds", "-m", f"{out}/model", *more)
     train += ("--iterations", f"{config.steps}", "--save_iterations", f"{config.steps}", "--test_iterations", "-1")
     export = (*start, "--trajectory", f"{out}/{name}.npz", script, f"{out}/model", f"{data}")
-    return Training((train, export), out / f"{name}.npz", settings=settings)
+    return BaselineTraining((train, export), out / f"{name}.npz", settings=settings)
 
 
 OTHERS = {"wu": wu, "yang": yang, "freetime": freetime, "grid4d": grid4d, "deformable": deformable}

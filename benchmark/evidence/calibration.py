@@ -27,7 +27,7 @@ PARTS = 10
 
 
 @dataclass(frozen=True)
-class Calibration:
+class PriorCalibration:
     """Compare the prior's standard deviations with its errors."""
 
     datasets: tyro.conf.Positional[tuple[Path, ...]]
@@ -53,7 +53,7 @@ def reliability(field: FlowField, dataset: Dataset) -> np.ndarray:
 
 def main(argv: list[str] | None = None) -> None:
     """Print the table, draw the chart."""
-    config = tyro.cli(Calibration, prog="python -m gof_benchmark.evidence.calibration", args=argv)
+    config = tyro.cli(PriorCalibration, prog="python -m gof_benchmark.evidence.calibration", args=argv)
     if config.chart:
         require_figure(config.chart)
     print("| dataset | within 1 | within 2 | of the surest tenth: said, true | of the least sure |")

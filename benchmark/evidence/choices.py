@@ -92,7 +92,7 @@ class Choices:
 
 
 @dataclass(frozen=True)
-class Row:
+class ChoiceScores:
     """A reconstruction's scores."""
 
     name: str
@@ -127,7 +127,7 @@ def main(argv: list[str] | None = None) -> None:
         write_json(config.json, [asdict(row) for row in rows])
 
 
-def run_one(dataset: Dataset, name: str, config: Choices) -> Row:
+def run_one(dataset: Dataset, name: str, config: Choices) -> ChoiceScores:
     """Reconstruct by the row's method and score; kept when it is there already."""
     folder = config.out / name.replace(" ", "_").replace("'", "").replace(",", "")
     settings = ReconstructionSettings.of(dataset, config.effort, seed=config.seed, scene=ROWS[name].scene)
@@ -138,8 +138,8 @@ def run_one(dataset: Dataset, name: str, config: Choices) -> Row:
         scores = evaluate(result.path, shrink(dataset, config.effort.longest_side))
         passing = scores.dve.fluctuation
         figures = scores.dve.l2, scores.dve.cos_sim, passing.l2, passing.cos_sim, scores.psnr_flame, scores.psnr
-        write_json(known, asdict(Row(name, *figures)))
-    return Row(**read_json(known))
+        write_json(known, asdict(ChoiceScores(name, *figures)))
+    return ChoiceScores(**read_json(known))
 
 
 if __name__ == "__main__":

@@ -38,7 +38,7 @@ class ColmapPoints:
 
 
 @dataclass(frozen=True)
-class Model:
+class ColmapModel:
     """COLMAP's largest model: world_to_camera (4, 4) by picture name, in a frame and unit of its own."""
 
     poses: dict[str, np.ndarray]
@@ -82,7 +82,7 @@ def render_views(scene: str, config: ColmapPoints) -> Dataset:
     return Dataset.open(config.work / scene)
 
 
-def structure_from_motion(pictures: Path, work: Path) -> Model | None:
+def structure_from_motion(pictures: Path, work: Path) -> ColmapModel | None:
     """COLMAP's default pipeline; None when it registers nothing."""
     import pycolmap
 
@@ -102,7 +102,7 @@ def structure_from_motion(pictures: Path, work: Path) -> Model | None:
             pose = image.cam_from_world  # a method in newer versions
             matrix = (pose() if callable(pose) else pose).matrix()
             poses[Path(image.name).stem] = np.vstack([matrix, [0, 0, 0, 1]])
-    return Model(poses, model.num_points3D(), model.compute_mean_reprojection_error())
+    return ColmapModel(poses, model.num_points3D(), model.compute_mean_reprojection_error())
 
 
 if __name__ == "__main__":

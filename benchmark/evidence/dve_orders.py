@@ -47,7 +47,7 @@ class DveOrders:
 
 
 @dataclass(frozen=True)
-class Row:
+class OrderMeasurement:
     """One measurement: `error` is relative (L2 over the Gaussians), `seconds` are per 10 000 Gaussians."""
 
     study: str
@@ -59,13 +59,13 @@ class Row:
 
 
 @dataclass(frozen=True)
-class Rows:
+class OrderMeasurements:
     """`study_dve.json`."""
 
     SCHEMA: ClassVar[str] = "gof-study-dve"
     VERSION: ClassVar[int] = 1
 
-    rows: tuple[Row, ...]
+    rows: tuple[OrderMeasurement, ...]
 
 
 def main(argv: list[str] | None = None) -> None:
@@ -84,20 +84,22 @@ def main(argv: list[str] | None = None) -> None:
         table.add_row(r.study, r.flow, r.setting, f"{r.k_sigma:g}", f"{r.error:.2e}", f"{r.seconds:.4f}")
     console = Console()
     console.print(table)
-    content = to_json(Rows(tuple(rows)))
+    content = to_json(OrderMeasurements(tuple(rows)))
     write_json(out / "study_dve.json", content)
     charts = write_charts(rows, out)
     console.print(f"written to {out}/study_dve.json, {', '.join(path.name for path in charts)}")
 
 
-def run(count: int = 20_000, samples: int = 1_000_000, progress: Callable[[int, int], None] | None = None) -> list[Row]:
+def run(
+    count: int = 20_000, samples: int = 1_000_000, progress: Callable[[int, int], None] | None = None
+) -> list[OrderMeasurement]:
     """Return all rows; progress(parts done, parts)."""
     k = WAVE_NUMBER
     flows = [linear(), taylor_green(k), abc(k), gaussian_vortex(1.5 / k)]
     parts = [partial(order_rows, flow, width, count // 10) for flow in flows for width in WIDTHS]
     parts += [partial(part, flow, count) for flow in flows for part in (grid_rows, precision_rows)]
     parts += [partial(monte_carlo_rows, abc(k), samples)]
-    rows: list[Row] = []
+    rows: list[OrderMeasurement] = []
     for done, part in enumerate(parts, 1):
         rows += part()
         if progress:
@@ -105,7 +107,7 @@ def run(count: int = 20_000, samples: int = 1_000_000, progress: Callable[[int, 
     return rows
 
 
-def order_rows(flow: Flow, k_sigma: float, count: int) -> Iterator[Row]:
+def order_rows(flow: AnalyticFlow, k_sigma: float, count: int) -> Iterator[OrderMeasurement]:
     """Orders of the product rule, on the flow itself."""
     x, s, q = gaussians(count, k_sigma)
     truth = flow.mean(x, _covariance(s, q))
@@ -115,7 +117,7 @@ def order_rows(flow: Flow, k_sigma: float, count: int) -> Iterator[Row]:
         yield _row("order", flow, f"order {order}", k_sigma, got, truth, time.perf_counter() - start)
 
 
-def grid_rows(flow: Flow, count: int) -> Iterator[Row]:
+def grid_rows(flow: AnalyticFlow, count: int) -> Iterator[OrderMeasurement]:
     """Grids of several resolutions, by the compiled kernel."""
     x, s, q = gaussians(count, 0.5)
     truth = flow.mean(x, _covariance(s, q))
@@ -128,7 +130,7 @@ def grid_rows(flow: Flow, count: int) -> Iterator[Row]:
             yield _row("grid", flow, f"{cells}^3 order {order}", 0.5, got, truth, time.perf_counter() - start)
 
 
-def precision_rows(flow: Flow, count: int) -> Iterator[Row]:
+def precision_rows(flow: AnalyticFlow, count: int) -> Iterator[OrderMeasurement]:
     """Precisions of the stored velocity, by kernel and in numpy; the truth is the same grid in float64."""
     x, s, q = gaussians(count, 0.5)
     few = count // 10
@@ -146,7 +148,7 @@ def precision_rows(flow: Flow, count: int) -> Iterator[Row]:
             yield _row("precision", flow, f"{np.dtype(dtype).name} {name}", 0.5, got[:few], truth, seconds)
 
 
-def monte_carlo_rows(flow: Flow, most: int) -> Iterator[Row]:
+def monte_carlo_rows(flow: AnalyticFlow, most: int) -> Iterator[OrderMeasurement]:
     """Yield numbers of random samples per Gaussian, on the flow itself."""
     x, s, q = gaussians(20, 0.5)
     truth = flow.mean(x, _covariance(s, q))
@@ -175,7 +177,7 @@ class _Everywhere:
 
     voxel_size = 1.0
 
-    def __init__(self, flow: Flow):
+    def __init__(self, flow: AnalyticFlow):
         self.sample = flow.velocity
 
     def contains(self, points: np.ndarray) -> np.ndarray:
@@ -183,13 +185,13 @@ class _Everywhere:
 
 
 def _row(
-    study: str, flow: Flow, setting: str, k_sigma: float, got: np.ndarray, truth: np.ndarray, seconds: float
-) -> Row:
+    study: str, flow: AnalyticFlow, setting: str, k_sigma: float, got: np.ndarray, truth: np.ndarray, seconds: float
+) -> OrderMeasurement:
     error = float(np.linalg.norm(got - truth) / np.linalg.norm(truth))
-    return Row(study, flow.name, setting, k_sigma, error, seconds / len(got) * 10_000)
+    return OrderMeasurement(study, flow.name, setting, k_sigma, error, seconds / len(got) * 10_000)
 
 
-def _grid(flow: Flow, cells: int) -> VelocityField:
+def _grid(flow: AnalyticFlow, cells: int) -> VelocityField:
     field = VelocityField.from_array(np.zeros((cells, cells, cells, 3)), (-HALF,) * 3, 2 * HALF / cells)
     velocity = flow.velocity(field.cell_centers().reshape(-1, 3)).reshape(cells, cells, cells, 3)
     return VelocityField(velocity, field.index_to_world)
@@ -208,7 +210,7 @@ LINES = (
 )
 
 
-def write_charts(rows: list[Row], folder: Path) -> list[Path]:
+def write_charts(rows: list[OrderMeasurement], folder: Path) -> list[Path]:
     """Error over seconds, study_dve_FLOW.svg per flow. Errors below 1e-17 count as 1e-17."""
     paths = []
     for flow in dict.fromkeys(row.flow for row in rows):
@@ -223,7 +225,7 @@ def write_charts(rows: list[Row], folder: Path) -> list[Path]:
     return paths
 
 
-def _points(rows: list[Row], flow: str, study: str, k_sigma: float) -> list[tuple[float, float, str]]:
+def _points(rows: list[OrderMeasurement], flow: str, study: str, k_sigma: float) -> list[tuple[float, float, str]]:
     """Return (seconds, error, label) of one line of a chart."""
     found = [row for row in rows if (row.flow, row.study, row.k_sigma) == (flow, study, k_sigma)]
     if study == "grid":
@@ -237,7 +239,7 @@ def _points(rows: list[Row], flow: str, study: str, k_sigma: float) -> list[tupl
 
 
 @dataclass(frozen=True)
-class Flow:
+class AnalyticFlow:
     """velocity(points (M, 3) m) -> (M, 3) m/s; mean(position (M, 3), covariance (M, 3, 3)) -> expectation (M, 3)."""
 
     name: str
@@ -245,13 +247,13 @@ class Flow:
     mean: Callable[[np.ndarray, np.ndarray], np.ndarray]
 
 
-def linear() -> Flow:
+def linear() -> AnalyticFlow:
     """V = A x + b: the expectation is the value at the centre."""
     A, b = np.array([[0.3, -2, 0], [2, 0.3, 0], [0.5, 0, -0.6]]), np.array([0.1, 0, 1.5])
-    return Flow("linear", lambda x: x @ A.T + b, lambda m, C: m @ A.T + b)
+    return AnalyticFlow("linear", lambda x: x @ A.T + b, lambda m, C: m @ A.T + b)
 
 
-def taylor_green(k: float) -> Flow:
+def taylor_green(k: float) -> AnalyticFlow:
     """V = (sin kx cos ky, -cos kx sin ky, 0): two plane waves, each damped by exp(-(k sigma)^2 / 2) along itself."""
 
     def velocity(x):
@@ -262,10 +264,10 @@ def taylor_green(k: float) -> Flow:
         a, b = (_damped(m, C, k * np.array([1.0, sign, 0]), np.sin) for sign in (1, -1))
         return np.stack([(a + b) / 2, (b - a) / 2, 0 * a], 1)
 
-    return Flow("Taylor-Green", velocity, mean)
+    return AnalyticFlow("Taylor-Green", velocity, mean)
 
 
-def abc(k: float) -> Flow:
+def abc(k: float) -> AnalyticFlow:
     """Arnold-Beltrami-Childress with A = B = C = 1: six plane waves along the axes."""
 
     def velocity(x):
@@ -276,10 +278,10 @@ def abc(k: float) -> Flow:
         s, c = (np.stack([_damped(m, C, k * e, f) for e in np.eye(3)], 1) for f in (np.sin, np.cos))
         return np.stack([s[:, 2] + c[:, 1], s[:, 0] + c[:, 2], s[:, 1] + c[:, 0]], 1)
 
-    return Flow("ABC", velocity, mean)
+    return AnalyticFlow("ABC", velocity, mean)
 
 
-def gaussian_vortex(width: float) -> Flow:
+def gaussian_vortex(width: float) -> AnalyticFlow:
     """V = (w x X + u) exp(-|X|^2 / (2 width^2)): two Gaussians multiply to a Gaussian, so the mean is closed too."""
     spin = np.array([[0, -3.0, 1], [3, 0, 0.5], [-1, -0.5, 0]])
     u = np.array([0, 0, 0.4])
@@ -293,7 +295,7 @@ def gaussian_vortex(width: float) -> Flow:
         factor = np.exp(-0.5 * np.sum(m * centre, 1) / width**2) / np.sqrt(np.linalg.det(M))
         return factor[:, None] * (centre @ spin.T + u)
 
-    return Flow("Gaussian vortex", velocity, mean)
+    return AnalyticFlow("Gaussian vortex", velocity, mean)
 
 
 def _damped(m, C, wave, function):

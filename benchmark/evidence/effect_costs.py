@@ -37,7 +37,7 @@ class EffectCosts:
 
 
 @dataclass(frozen=True)
-class Row:
+class EffectCost:
     """One small run; the picture is the median of those after the first, which loads the scene."""
 
     effect: str
@@ -64,20 +64,20 @@ def main(argv: list[str] | None = None) -> None:
     print("\n".join(lines))
 
 
-def _line(row: Row, more: str) -> str:
+def _line(row: EffectCost, more: str) -> str:
     return (
         f"| {row.effect} | {row.steps_per_frame} | {row.bake_cpu_s:.1f}{more} | {row.bake_mb:.0f} | "
         f"{row.picture_cpu_s:.2f} | {row.codec_cpu_s:.1f} | {row.cache_mb:.1f} |"
     )
 
 
-def measure(name: str | None, folder: Path) -> Row:
+def measure(name: str | None, folder: Path) -> EffectCost:
     """Return one small run with one effect, or with none; kept and not repeated."""
     result = folder / f"{name or 'none'}.json"
     if not result.exists():
         spec = small_spec(name)
         write_json(result, asdict(run(spec, Layout((folder / (name or "none")).resolve()), name or NONE)))
-    return Row(**read_json(result))
+    return EffectCost(**read_json(result))
 
 
 def small_spec(name: str | None) -> SceneSpec:
@@ -94,14 +94,14 @@ def small_spec(name: str | None) -> SceneSpec:
     )
 
 
-def run(spec: SceneSpec, layout: Layout, effect: str) -> Row:
+def run(spec: SceneSpec, layout: Layout, effect: str) -> EffectCost:
     """Bake, render, and pass the pictures through a codec if the effect is one."""
     claim(layout, spec)
     bake = run_stage("bake", layout.root)
     pictures = [Renderer.render(layout.root, frame, 0) for frame in range(FRAMES)]
     Renderer.close(layout.root)
     encodes = any(map(effects.encodes, spec.effects))
-    return Row(
+    return EffectCost(
         effect=effect,
         steps_per_frame=spec.timeline.steps_per_frame,
         bake_cpu_s=bake.cpu_s,

@@ -40,7 +40,7 @@ class FormatLossesConfig:
 
 
 @dataclass(frozen=True)
-class Clip:
+class FlameClip:
     """A flame and its life, s."""
 
     flame: TransientGaussians
@@ -61,7 +61,7 @@ def main(argv: list[str] | None = None) -> None:
     flame = read_result(options.result).gaussians
     if not isinstance(flame, TransientGaussians):
         raise DataFormatError(f"{options.result}: positions sampled in time have no closed form; give another result")
-    clip = Clip(flame, *flame.life(), options.frame_time)
+    clip = FlameClip(flame, *flame.life(), options.frame_time)
     print(f"{len(flame)} Gaussians, {clip.end_s - clip.start_s:.3f} s\n")
     print(
         "| format | MB | pictures, dB | places, mm | velocities, mm/s | of the gas, mm/s |\n|---|---|---|---|---|---|"
@@ -90,29 +90,29 @@ def _dB(psnr: float | None) -> str:
     return "" if psnr is None else "exact" if np.isinf(psnr) else f"{psnr:.1f}"
 
 
-def _own(clip: Clip, out: Path) -> Loss:
+def _own(clip: FlameClip, out: Path) -> Loss:
     clip.flame.save(out)
     return measure_loss(clip.flame, _read(out), clip.start_s, clip.end_s)
 
 
-def _freetime(clip: Clip, out: Path) -> Loss:
+def _freetime(clip: FlameClip, out: Path) -> Loss:
     ftgs.save(clip.flame, out, clip.start_s, clip.end_s, None)
     return measure_loss(clip.flame, _read(out, emissive=clip.flame.emissive), clip.start_s, clip.end_s)
 
 
-def _moving(clip: Clip, out: Path) -> Loss:
+def _moving(clip: FlameClip, out: Path) -> Loss:
     order = MOVING[out.suffix].save(clip.flame, out, clip.start_s, clip.end_s, "")
     timeless = out.suffix == ".dgs"  # no clock, no emissive flame
     says = {"time_zero_s": clip.start_s, "emissive": clip.flame.emissive} if timeless else {}
     return measure_loss(clip.flame[order], _read(out, **says), clip.start_s, clip.end_s)
 
 
-def _usd(clip: Clip, out: Path) -> Loss:
+def _usd(clip: FlameClip, out: Path) -> Loss:
     seen, _ = usd.save(clip.flame, out, clip.start_s, clip.end_s, clip.frame_s)
     return measure_loss(clip.flame[seen], _read(out), clip.start_s, clip.end_s)
 
 
-def _frames(clip: Clip, out: Path) -> float | None:
+def _frames(clip: FlameClip, out: Path) -> float | None:
     save_frames(clip.flame, out, clip.start_s, clip.end_s, clip.frame_s)
     frames = map(clip.frame, INSTANTS)
     return picture_psnr(
@@ -120,7 +120,7 @@ def _frames(clip: Clip, out: Path) -> float | None:
     )
 
 
-def _instant(clip: Clip, out: Path) -> float | None:
+def _instant(clip: FlameClip, out: Path) -> float | None:
     time_s = clip.time_s(0.5)
     compressed.save(clip.flame, out, time_s)
     made = extras.load("gaussforge", "splats", f"reading {out.suffix}").GaussForge()
@@ -135,13 +135,13 @@ def _read(path: Path, **says) -> TransientGaussians:
     return found
 
 
-def _still(clip: Clip, path: Path) -> TransientGaussians:
+def _still(clip: FlameClip, path: Path) -> TransientGaussians:
     """Return splats of an instant, of the kind that the flame is of."""
     found = read_room(path)
     return replace(found, dynamic=np.ones(len(found), bool), emissive=clip.flame.emissive)
 
 
-FORMATS: dict[str, Callable[[Clip, Path], Loss | float | None]] = {
+FORMATS: dict[str, Callable[[FlameClip, Path], Loss | float | None]] = {
     ".npz": _own,
     ".ply": _own,
     ".ftgs.ply": _freetime,

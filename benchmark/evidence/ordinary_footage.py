@@ -65,7 +65,7 @@ class OrdinaryFootage:
 
 
 @dataclass(frozen=True)
-class Variant:
+class FootageVariant:
     """One treatment of the videos, and the way they are given to `gof ingest`.
 
     Attributes:
@@ -90,7 +90,7 @@ class Variant:
     phones: bool = False
 
 
-def variants(config: OrdinaryFootage) -> list[Variant]:
+def variants(config: OrdinaryFootage) -> list[FootageVariant]:
     """Return the rows of the table."""
     rate, half = f"{config.fps:g}", f"{config.fps / 2:g}"
     fov, board = ("--fov", f"{config.fov:g}"), ("--marker-mm", f"{1000 * config.marker_m:g}")
@@ -109,53 +109,53 @@ def variants(config: OrdinaryFootage) -> list[Variant]:
     tag = dict.fromkeys(CAMERAS, "tag")
     lying_fov = np.rad2deg(2 * np.arctan(np.tan(np.deg2rad(config.fov) / 2) * 854 / 480))
     return [
-        Variant("as filmed", usual, phones=True),
-        Variant("no board in the pictures", ("--times", rate, *fov, "--board", "none"), phones=True),
-        Variant("HEVC, 10 bits, HLG", usual, {c: [*hevc, "-vf", TO_HLG] for c in CAMERAS}, phones=True),
-        Variant("hands: shake of 0.4 % of the width", usual, pictures="shake", phones=True),
-        Variant("exposure drifts by 40 % of its light", usual, pictures="drift", phones=True),
-        Variant("both", usual, pictures="both", phones=True),
-        Variant("cam_1 shows 3 frames twice", usual, twice, phones=True),
-        Variant("no board, sound, cam_1 begins 7 frames late", ("TIMES", *usual[2:]), late, **heard),
-        Variant("2 cameras", usual, given=(0, 1)),
-        Variant("1 camera", usual, given=(0,)),
-        Variant("cam_0's file twice", usual, given=(0, 0, 2)),
-        Variant("times.json, videos in another order", ("TIMES", *usual[2:]), given=(0, 2, 1)),
-        Variant("cam_1 begins 7 frames late", usual, late, all_frames=True),
-        Variant("the same, `--start 7 0 7`", (*usual, "--start", "7", "0", "7"), late),
-        Variant("cam_1 has 60 of 100 frames", usual, {"cam_1": ["-frames:v", "60"]}, all_frames=True),
-        Variant("the same, `--frames 24`", usual, {"cam_1": ["-frames:v", "60"]}),
-        Variant("cam_1's file is cut off", usual, after={"cam_1": "cut"}, all_frames=True),
-        Variant("cam_1 at half the rate, one rate for all", usual, halved, all_frames=True),
-        Variant(f"the same, `--times {rate} {half} {rate}`", ("--times", rate, half, rate, *usual[2:]), halved),
-        Variant("the same, times.json", ("TIMES", *usual[2:]), halved),
-        Variant("cam_1 lacks 3 frames (variable rate)", usual, gone),
-        Variant("the same, times.json", ("TIMES", *usual[2:]), gone),
-        Variant("all slow down (variable rate)", usual, slow, all_frames=True),
-        Variant("variable rate, `--times stamps`", ("--times", "stamps", *usual[2:]), slow, phones=True),
-        Variant("cam_1 smaller", usual, {"cam_1": ["-vf", "scale=iw*2/3:-2"]}, phones=True),
-        Variant("HEVC, 10 bits", usual, {c: hevc for c in CAMERAS}),
-        Variant(
+        FootageVariant("as filmed", usual, phones=True),
+        FootageVariant("no board in the pictures", ("--times", rate, *fov, "--board", "none"), phones=True),
+        FootageVariant("HEVC, 10 bits, HLG", usual, {c: [*hevc, "-vf", TO_HLG] for c in CAMERAS}, phones=True),
+        FootageVariant("hands: shake of 0.4 % of the width", usual, pictures="shake", phones=True),
+        FootageVariant("exposure drifts by 40 % of its light", usual, pictures="drift", phones=True),
+        FootageVariant("both", usual, pictures="both", phones=True),
+        FootageVariant("cam_1 shows 3 frames twice", usual, twice, phones=True),
+        FootageVariant("no board, sound, cam_1 begins 7 frames late", ("TIMES", *usual[2:]), late, **heard),
+        FootageVariant("2 cameras", usual, given=(0, 1)),
+        FootageVariant("1 camera", usual, given=(0,)),
+        FootageVariant("cam_0's file twice", usual, given=(0, 0, 2)),
+        FootageVariant("times.json, videos in another order", ("TIMES", *usual[2:]), given=(0, 2, 1)),
+        FootageVariant("cam_1 begins 7 frames late", usual, late, all_frames=True),
+        FootageVariant("the same, `--start 7 0 7`", (*usual, "--start", "7", "0", "7"), late),
+        FootageVariant("cam_1 has 60 of 100 frames", usual, {"cam_1": ["-frames:v", "60"]}, all_frames=True),
+        FootageVariant("the same, `--frames 24`", usual, {"cam_1": ["-frames:v", "60"]}),
+        FootageVariant("cam_1's file is cut off", usual, after={"cam_1": "cut"}, all_frames=True),
+        FootageVariant("cam_1 at half the rate, one rate for all", usual, halved, all_frames=True),
+        FootageVariant(f"the same, `--times {rate} {half} {rate}`", ("--times", rate, half, rate, *usual[2:]), halved),
+        FootageVariant("the same, times.json", ("TIMES", *usual[2:]), halved),
+        FootageVariant("cam_1 lacks 3 frames (variable rate)", usual, gone),
+        FootageVariant("the same, times.json", ("TIMES", *usual[2:]), gone),
+        FootageVariant("all slow down (variable rate)", usual, slow, all_frames=True),
+        FootageVariant("variable rate, `--times stamps`", ("--times", "stamps", *usual[2:]), slow, phones=True),
+        FootageVariant("cam_1 smaller", usual, {"cam_1": ["-vf", "scale=iw*2/3:-2"]}, phones=True),
+        FootageVariant("HEVC, 10 bits", usual, {c: hevc for c in CAMERAS}),
+        FootageVariant(
             "phones: lying, with rotation tag",
             ("--times", rate, "--fov", f"{lying_fov:.4g}", *board),
             lying,
             tag,
             phones=True,
         ),
-        Variant(
+        FootageVariant(
             "the same, cam_1's tag is lost",
             ("--times", rate, "--fov", f"{lying_fov:.4g}", *board),
             lying,
             {"cam_0": "tag", "cam_2": "tag"},
         ),
-        Variant(
+        FootageVariant(
             "the same, `--turn clockwise`",
             ("--times", rate, "--fov", f"{lying_fov:.4g}", *board, "--turn", "clockwise"),
             lying,
             {"cam_0": "tag", "cam_2": "tag"},
         ),
-        Variant("wrong --fov, board", ("--times", rate, "--fov", "60", *board)),
-        Variant("wrong --fov, no board", ("--times", rate, "--fov", "60", "--board", "none")),
+        FootageVariant("wrong --fov, board", ("--times", rate, "--fov", "60", *board)),
+        FootageVariant("wrong --fov, no board", ("--times", rate, "--fov", "60", "--board", "none")),
     ]
 
 
@@ -226,7 +226,7 @@ def thinned(clip: Path, folder: Path) -> Path:
     return folder
 
 
-def make_videos(variant: Variant, config: OrdinaryFootage, folder: Path) -> list[Path]:
+def make_videos(variant: FootageVariant, config: OrdinaryFootage, folder: Path) -> list[Path]:
     """Return the variant's videos, each camera's once."""
     folder.mkdir(parents=True, exist_ok=True)
     videos = []
@@ -279,7 +279,9 @@ def gof(*words: str) -> tuple[int, str]:
     return done.returncode, done.stdout + done.stderr
 
 
-def run(variant: Variant, config: OrdinaryFootage, originals: list[np.ndarray], number: int) -> tuple[str, str, str]:
+def run(
+    variant: FootageVariant, config: OrdinaryFootage, originals: list[np.ndarray], number: int
+) -> tuple[str, str, str]:
     """Return the output of `gof ingest` on the variant, its flame's dB, and the distance of its pairs in original
     frames."""
     folder = config.out / f"{number:02d}"

@@ -52,7 +52,7 @@ class PictureCosts:
 
 
 @dataclass(frozen=True)
-class Variant:
+class RenderVariant:
     """The differences from the base: fields of `spec.render`, of the fire, cells (a factor), or what no spec has, of
     Blender's scene; and whether it shows the same as the reference, up to error."""
 
@@ -65,35 +65,37 @@ class Variant:
 
 
 VARIANTS = (
-    Variant("1 sample", {"samples": 1}),
-    Variant("2 samples", {"samples": 2}),
-    Variant("8 samples", {"samples": 8}),
-    Variant("16 samples", {"samples": 16}),
-    Variant("no denoiser", {"denoise": False}),
-    Variant("1 sample, no denoiser", {"samples": 1, "denoise": False}),
-    Variant("denoiser at high quality", blender={"cycles.denoising_quality": "HIGH"}),
-    Variant("step of the march 1 (half)", {"volume_step_rate": 1.0}),
-    Variant("step of the march 4", {"volume_step_rate": 4.0}),
-    Variant("step of the march 8", {"volume_step_rate": 8.0}),
-    Variant("2 samples, step 4 (preset large)", {"samples": 2, "volume_step_rate": 4.0}),
-    Variant("1 sample, step 4", {"samples": 1, "volume_step_rate": 4.0}),
-    Variant("linear interpolation of cells", blender={f"{FLAME}.volume_interpolation": "LINEAR"}),
-    Variant("cover with all samples", blender={'view_layers["Cover"].samples': BASE["samples"]}),
-    Variant("0 bounces", {"max_bounces": 0}),
-    Variant("2 bounces", {"max_bounces": 2}),
-    Variant("no light tree", blender={"cycles.use_light_tree": False}),
-    Variant("adaptive sampling", blender={"cycles.use_adaptive_sampling": True, "cycles.adaptive_threshold": 0.05}),
-    Variant("one thread", blender={"render.threads_mode": "FIXED", "render.threads": 1}),
-    Variant("half the size, 4 samples", {"samples": 4, "percentage": 0.5}),
-    Variant("a quarter of the size, 16 samples", {"samples": 16, "percentage": 0.25}),
-    Variant("light of sheets", fire={"light": "sheets"}, same=False),
-    Variant("light of the reaction", fire={"light": "reaction"}, same=False),
-    Variant("half the cells along a side", cells=0.5, same=False),
+    RenderVariant("1 sample", {"samples": 1}),
+    RenderVariant("2 samples", {"samples": 2}),
+    RenderVariant("8 samples", {"samples": 8}),
+    RenderVariant("16 samples", {"samples": 16}),
+    RenderVariant("no denoiser", {"denoise": False}),
+    RenderVariant("1 sample, no denoiser", {"samples": 1, "denoise": False}),
+    RenderVariant("denoiser at high quality", blender={"cycles.denoising_quality": "HIGH"}),
+    RenderVariant("step of the march 1 (half)", {"volume_step_rate": 1.0}),
+    RenderVariant("step of the march 4", {"volume_step_rate": 4.0}),
+    RenderVariant("step of the march 8", {"volume_step_rate": 8.0}),
+    RenderVariant("2 samples, step 4 (preset large)", {"samples": 2, "volume_step_rate": 4.0}),
+    RenderVariant("1 sample, step 4", {"samples": 1, "volume_step_rate": 4.0}),
+    RenderVariant("linear interpolation of cells", blender={f"{FLAME}.volume_interpolation": "LINEAR"}),
+    RenderVariant("cover with all samples", blender={'view_layers["Cover"].samples': BASE["samples"]}),
+    RenderVariant("0 bounces", {"max_bounces": 0}),
+    RenderVariant("2 bounces", {"max_bounces": 2}),
+    RenderVariant("no light tree", blender={"cycles.use_light_tree": False}),
+    RenderVariant(
+        "adaptive sampling", blender={"cycles.use_adaptive_sampling": True, "cycles.adaptive_threshold": 0.05}
+    ),
+    RenderVariant("one thread", blender={"render.threads_mode": "FIXED", "render.threads": 1}),
+    RenderVariant("half the size, 4 samples", {"samples": 4, "percentage": 0.5}),
+    RenderVariant("a quarter of the size, 16 samples", {"samples": 16, "percentage": 0.25}),
+    RenderVariant("light of sheets", fire={"light": "sheets"}, same=False),
+    RenderVariant("light of the reaction", fire={"light": "reaction"}, same=False),
+    RenderVariant("half the cells along a side", cells=0.5, same=False),
 )
 
 
 @dataclass(frozen=True)
-class Row:
+class PictureCost:
     """Errors are None where the picture shows something else than the reference, or is it."""
 
     name: str
@@ -106,11 +108,11 @@ class Row:
 def main(argv: list[str] | None = None) -> None:
     """Print the table, and write it."""
     config = tyro.cli(PictureCosts, prog="python -m gof_benchmark.evidence.picture_costs", args=argv)
-    reference, seconds = picture(Variant("reference", REFERENCE), config)
-    rows = [Row("reference", seconds)]
-    for variant in (Variant("base"), *VARIANTS):
+    reference, seconds = picture(RenderVariant("reference", REFERENCE), config)
+    rows = [PictureCost("reference", seconds)]
+    for variant in (RenderVariant("base"), *VARIANTS):
         made, seconds = picture(variant, config)
-        rows.append(Row(variant.name, seconds, *(errors(made, reference) if variant.same else ())))
+        rows.append(PictureCost(variant.name, seconds, *(errors(made, reference) if variant.same else ())))
     text = (
         table(rows, _read(reference.rgb).shape, config.resolution)
         + "\n"
@@ -122,7 +124,7 @@ def main(argv: list[str] | None = None) -> None:
     print(text)
 
 
-def table(rows: list[Row], shape: tuple[int, ...], cells: int) -> str:
+def table(rows: list[PictureCost], shape: tuple[int, ...], cells: int) -> str:
     height, width, _ = shape
     base = next(row.cpu_s for row in rows if row.name == "base")
     lines = [
@@ -180,7 +182,7 @@ def errors(made: Made, reference: Made) -> tuple[float, float, float]:
     return float(np.abs(shown - _read(reference.rgb))[flame].mean()), float(blotches / mean), float(grain / mean)
 
 
-def picture(variant: Variant, config: PictureCosts) -> tuple[Made, float]:
+def picture(variant: RenderVariant, config: PictureCosts) -> tuple[Made, float]:
     """Return a picture, rendered unless it is there, and its CPU seconds."""
     spec = _spec(variant, config)
     layout = Layout((config.out / variant.name.replace(" ", "_")).resolve())
@@ -192,7 +194,7 @@ def picture(variant: Variant, config: PictureCosts) -> tuple[Made, float]:
     return Made(files.rgb, files.mask, light), read_json(cost)["cpu_s"]
 
 
-def _spec(variant: Variant, config: PictureCosts) -> SceneSpec:
+def _spec(variant: RenderVariant, config: PictureCosts) -> SceneSpec:
     """Return the first frame after the warm-up, seen by the middle of the arc."""
     scene = load_scene(config.scene)
     render = BASE | {"percentage": 1.0} | variant.render

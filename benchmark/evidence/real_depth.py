@@ -50,7 +50,7 @@ class RealDepth:
 
 
 @dataclass(frozen=True)
-class Drawn:
+class ScoredParts:
     """The picture scored under a name: `whole` for inverse depth, `part` of it for the distance of the flame alone."""
 
     whole: TransientGaussians
@@ -68,7 +68,7 @@ class HeldOutView:
     disparity: np.ndarray
 
 
-def what_is_drawn(folder: Path) -> dict[str, Drawn]:
+def what_is_drawn(folder: Path) -> dict[str, ScoredParts]:
     """By name, of OUT/CLIP."""
     files = {name: folder / name for name in ("gof_0/result.npz", "paper_0/result.npz", "paper_0/background.npz")}
     for file in files.values():
@@ -76,10 +76,10 @@ def what_is_drawn(folder: Path) -> dict[str, Drawn]:
             raise GofError(f"{file} is missing; make it with python -m gof_benchmark.evidence.real_clips")
     ours, paper, still = (TransientGaussians.load(file) for file in files.values())
     return {
-        "still": Drawn(still, still),
-        "paper": Drawn(paper, paper[paper.dynamic]),
-        "ours": Drawn(TransientGaussians.concatenate([still, ours]), ours),
-        "alone": Drawn(ours, ours),
+        "still": ScoredParts(still, still),
+        "paper": ScoredParts(paper, paper[paper.dynamic]),
+        "ours": ScoredParts(TransientGaussians.concatenate([still, ours]), ours),
+        "alone": ScoredParts(ours, ours),
     }
 
 
@@ -96,7 +96,7 @@ def moments(dataset: Dataset, maps: Path) -> Iterator[HeldOutView]:
             yield HeldOutView(camera, float(dataset.camera_times_s(c)[k]), flame, depth, disparity)
 
 
-def scores(drawn: Drawn, moment: HeldOutView) -> tuple[float, float]:
+def scores(drawn: ScoredParts, moment: HeldOutView) -> tuple[float, float]:
     """Error of inverse depth, and how far off the flame stands; NaN where undefined."""
     disparity = drawn_disparity(drawn.whole, moment.camera, moment.time_s)
     error = rmse_disparity(disparity, moment.disparity, moment.flame)

@@ -173,9 +173,9 @@ def time_steps(n: int, width: int, height: int, repeats: int) -> dict[str, Any]:
     import drjit as dr
 
     from gof.render.backend import BACKEND
-    from gof_benchmark.evidence.render_speed import Training
+    from gof_benchmark.evidence.render_speed import RandomTraining
 
-    training = Training(n, width, height)
+    training = RandomTraining(n, width, height)
     calls = {FORWARD: training.draw, BOTH: training.draw_and_differentiate, STEP: training.step}
     out: dict[str, Any] = {name: median_ms(call, repeats) for name, call in calls.items()}
     if BACKEND == "cuda":

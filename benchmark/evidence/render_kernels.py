@@ -25,7 +25,7 @@ import tyro
 from gof.core.files import write_json
 from gof.core.morton import morton_order
 from gof_benchmark.evidence.render_scenes import flame
-from gof_benchmark.evidence.render_speed import KERNEL_GOALS_NS, Training
+from gof_benchmark.evidence.render_speed import KERNEL_GOALS_NS, RandomTraining
 
 KINDS = ("drjit", "native")
 PIXELS = 16  # of a block
@@ -72,7 +72,7 @@ def measure(n: int, width: int, height: int, repeats: int, morton: bool) -> dict
     trainings = {}
     for kind in KINDS:
         with drawn_by(kind):
-            trainings[kind] = Training(n, width, height, gaussians)
+            trainings[kind] = RandomTraining(n, width, height, gaussians)
     whole = {
         "forward": lambda t: t.draw(),
         "forward + backward": lambda t: t.draw_and_differentiate(),
@@ -98,7 +98,7 @@ def measure(n: int, width: int, height: int, repeats: int, morton: bool) -> dict
     return figures
 
 
-def _on_all_threads(trainings: dict[str, Training], repeats: int) -> dict[str, list[float]]:
+def _on_all_threads(trainings: dict[str, RandomTraining], repeats: int) -> dict[str, list[float]]:
     """{kind: [wall ms of a step, ...]}."""
     found: dict[str, list[float]] = {kind: [] for kind in KINDS}
     for repeat in range(repeats + 2):
@@ -118,13 +118,13 @@ def _cpu_ms(run: Callable[[], object]) -> float:
     return 1e3 * (time.process_time() - start)
 
 
-def _step_without_loss(training: Training) -> None:
+def _step_without_loss(training: RandomTraining) -> None:
     training.draw_and_differentiate()
     training.optimizer.step()
     training.dr.sync_thread()
 
 
-def _parts(trainings: dict[str, Training], repeats: int) -> dict[str, dict[str, list[float]]]:
+def _parts(trainings: dict[str, RandomTraining], repeats: int) -> dict[str, dict[str, list[float]]]:
     """Return the same for parts of a step, each between synchronisations."""
     from gof.render import blend, l1_ssim
     from gof.render.backend import Float
@@ -144,7 +144,7 @@ def _parts(trainings: dict[str, Training], repeats: int) -> dict[str, dict[str, 
     }
     figures = {name: {kind: [] for kind in KINDS} for name in (*places["native"], "L1 + SSIM, both ways", "Adam")}
 
-    def loss(training: Training, image: list) -> None:
+    def loss(training: RandomTraining, image: list) -> None:
         dr = training.dr
         dr.enable_grad(image)
         dr.backward(l1_ssim(image, training.target))

@@ -20,7 +20,7 @@ import tyro
 
 from gof_benchmark.evidence import child
 from gof_benchmark.evidence.render_scenes import flame
-from gof_benchmark.evidence.render_speed import Training
+from gof_benchmark.evidence.render_speed import RandomTraining
 
 KINDS = ("native", "drjit")
 EVERY = 100  # steps between additions
@@ -47,7 +47,7 @@ class RenderLasting:
 def first_step() -> tuple[float, float]:
     """Return (wall, CPU) seconds from the import of the renderer to the end of a process' first step."""
     wall, cpu = time.perf_counter(), time.process_time()
-    Training(5_000, 160, 90).step()
+    RandomTraining(5_000, 160, 90).step()
     return time.perf_counter() - wall, time.process_time() - cpu
 
 
@@ -56,7 +56,7 @@ def long_training(steps: int, n: int, width: int, height: int) -> list[tuple[int
     import drjit as dr
     import psutil
 
-    training, process, rows = Training(n, width, height), psutil.Process(), []
+    training, process, rows = RandomTraining(n, width, height), psutil.Process(), []
     more = flame(n // 50, seed=1)
     new = 0
     with dr.scoped_set_flag(dr.JitFlag.KernelHistory, True):

@@ -31,7 +31,7 @@ from gof.host.checks import cpu_name
 from gof.render import backend
 from gof_benchmark.evidence import child
 from gof_benchmark.evidence.render_scenes import camera, flame
-from gof_benchmark.evidence.render_speed import Training
+from gof_benchmark.evidence.render_speed import RandomTraining
 
 SIZES = ((20_000, 320, 180), (100_000, 640, 360), (300_000, 1280, 720))
 GOALS = {100_000: 20.0, 300_000: 25.0}  # forward and backward by the clock
@@ -239,7 +239,7 @@ def compare_on(library: str, cores: list[int], n: int, width: int, height: int, 
 
 def compare(library: ctypes.CDLL, n: int, width: int, height: int, repeats: int) -> dict[str, Any]:
     """Return wall and CPU ms of both, forward and forward + backward, in turn; and how far they agree."""
-    ours, theirs = Training(n, width, height), OpenSplat(library, n, width, height)
+    ours, theirs = RandomTraining(n, width, height), OpenSplat(library, n, width, height)
     figures: dict[str, Any] = {"load": os.getloadavg()[0]}
     both = {
         "forward": (lambda: ours.draw(), theirs.draw_alone),
@@ -264,7 +264,7 @@ def _ms(run: Callable[[], object]) -> tuple[float, float]:
     return 1e3 * (time.perf_counter() - wall), 1e3 * (time.process_time() - cpu)
 
 
-def _agreement(ours: Training, theirs: OpenSplat) -> dict[str, float]:
+def _agreement(ours: RandomTraining, theirs: OpenSplat) -> dict[str, float]:
     """Return mean difference of the pictures over their mean, and of the colours' gradients in L2."""
     theirs.draw_and_differentiate()
     image = np.stack([np.array(plane) for plane in ours.draw().color], -1).reshape(theirs.image.shape)

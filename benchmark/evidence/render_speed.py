@@ -63,7 +63,7 @@ def best(function: Callable[[], object], repeats: int) -> tuple[float, float]:
     return 1e3 * wall, 1e3 * cpu
 
 
-class Training:
+class RandomTraining:
     """A training step on the random flame, whole or in phases."""
 
     def __init__(self, n: int, width: int, height: int, gaussians: TransientGaussians | None = None):
@@ -89,7 +89,7 @@ class Training:
 
     def add(self, more: TransientGaussians) -> None:
         """Add Gaussians behind those that there are, without Adam's moments, as density control adds them."""
-        born = Training(len(more), self.camera.width, self.camera.height, more).raw
+        born = RandomTraining(len(more), self.camera.width, self.camera.height, more).raw
         self.optimizer.regroup(born, np.arange(self.n), born, np.arange(self.n + len(more)))
         self.n += len(more)
 
@@ -201,7 +201,7 @@ def vector_rate(repeats: int) -> float:
     return lanes * rounds * 16 * 12 / (best(run, repeats)[1] * 1e6)
 
 
-def one_thread(training: Training, repeats: int) -> dict:
+def one_thread(training: RandomTraining, repeats: int) -> dict:
     """CPU time without idle threads waiting in it, and what the core gave meanwhile."""
     import drjit as dr
 
@@ -340,7 +340,7 @@ def growth(quick: bool, repeats: int) -> tuple[list[dict], dict]:
     cases = [(n, 640, 360) for n in counts] + [(100_000, 320, 180), (100_000, 1280, 720)]
     rows = []
     for n, w, h in cases:
-        training = Training(n, w, h)
+        training = RandomTraining(n, w, h)
         training.step()
         training.step()
         with dr.scoped_set_flag(dr.JitFlag.KernelHistory, True):
@@ -389,7 +389,7 @@ def measure(quick: bool) -> dict[str, Any]:
         },
         "scene": [n, w, h],
     }
-    training = _warm(Training(n, w, h))
+    training = _warm(RandomTraining(n, w, h))
     result["step"] = best(training.step, repeats)
     result["forward"] = best(training.draw, repeats)
     result["both"] = best(training.draw_and_differentiate, repeats)
@@ -408,7 +408,7 @@ def measure(quick: bool) -> dict[str, Any]:
     return result
 
 
-def _warm(training: Training) -> Training:
+def _warm(training: RandomTraining) -> RandomTraining:
     """With its kernels compiled."""
     for _ in range(3):
         training.step()
@@ -431,7 +431,7 @@ def _kernels(result: dict[str, Any]) -> dict[str, dict[str, float]]:
 
 def _against_torch(quick: bool, repeats: int) -> dict[str, Any]:
     n, w, h = (2_000, 160, 90) if quick else (20_000, 320, 180)
-    small = Training(n, w, h)
+    small = RandomTraining(n, w, h)
     for _ in range(3):
         small.draw_and_differentiate()
     return {

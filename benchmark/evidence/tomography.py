@@ -74,7 +74,7 @@ CHOICES: dict[str, Find] = {
 }
 
 
-class Case(NamedTuple):
+class TomographyCase(NamedTuple):
     """Some frames of a dataset.
 
     Attributes:
@@ -89,10 +89,10 @@ class Case(NamedTuple):
     truth: np.ndarray
     level: np.ndarray
     around: list[Camera]
-    seen: list[Seen]
+    seen: list[PictureAround]
 
 
-class Seen(NamedTuple):
+class PictureAround(NamedTuple):
     """A frame's picture by camera `camera` of those around: linear light of (h * w, 3) with fire and without, mask."""
 
     frame: int
@@ -102,7 +102,7 @@ class Seen(NamedTuple):
     mask: np.ndarray
 
 
-def read_case(folder: Path) -> Case:
+def read_case(folder: Path) -> TomographyCase:
     """Read some of a dataset's frames, held-out ones too, and its true light at the voxels of its hull."""
     dataset = Dataset.open(folder)
     every = Splits(tuple(range(len(dataset.times_s))), ())  # cameras around took held-out frames
@@ -131,10 +131,14 @@ def read_case(folder: Path) -> Case:
         camera_time_s=observation.camera_time_s[:, chosen],
     )
     around, seen = see_around(view, part, voxels) if view else ([], [])
-    return Case(part, voxels, unsaturated_light(part), np.array(truths), level / np.linalg.norm(level), around, seen)
+    return TomographyCase(
+        part, voxels, unsaturated_light(part), np.array(truths), level / np.linalg.norm(level), around, seen
+    )
 
 
-def see_around(view: Dataset, observation: Observation, voxels: FlameVoxels) -> tuple[list[Camera], list[Seen]]:
+def see_around(
+    view: Dataset, observation: Observation, voxels: FlameVoxels
+) -> tuple[list[Camera], list[PictureAround]]:
     """Return the cameras around with pixels of about a voxel, and their pictures of an observation's frames."""
     middle = voxels.center.mean(0)
     pixels = [voxels.voxel_size * camera.K[0, 0] / camera.project(middle[None])[1][0] for camera in view.cameras]
@@ -145,7 +149,7 @@ def see_around(view: Dataset, observation: Observation, voxels: FlameVoxels) -> 
         return small.reshape(size[0] * size[1], -1).squeeze()
 
     seen = [
-        Seen(
+        PictureAround(
             int(np.flatnonzero(observation.frames == frame)[0]),
             c,
             reduce(srgb_to_linear(view.image(c, frame))),
@@ -159,7 +163,7 @@ def see_around(view: Dataset, observation: Observation, voxels: FlameVoxels) -> 
     return [camera.scaled(*size) for camera in view.cameras], seen
 
 
-def score_around(case: Case, emission: np.ndarray) -> float:
+def score_around(case: TomographyCase, emission: np.ndarray) -> float:
     """Return the mean PSNR (dB) of the flame from the cameras around; nan without any."""
     views = imagine_views(case.voxels, emission, case.observation, case.around) if case.seen else None
     if views is None:
@@ -173,7 +177,7 @@ def score_around(case: Case, emission: np.ndarray) -> float:
     return float(np.mean(decibels))
 
 
-def score(case: Case, find: Find) -> np.ndarray:
+def score(case: TomographyCase, find: Find) -> np.ndarray:
     """Return (5,): means over frames of cosine, relative L2, smear and share outside; dB around."""
     voxels, level = case.voxels, case.level
     along, across = voxels.center[:, :2] @ level, voxels.center[:, :2] @ (level[1], -level[0])

@@ -45,7 +45,7 @@ class WrongClocks:
 
 
 @dataclass(frozen=True)
-class Row:
+class ClockScores:
     """A reconstruction's scores against the true times, and its flame's PSNR at the times it believed."""
 
     error: float
@@ -103,16 +103,16 @@ def believing(dataset: Dataset, error: float) -> Dataset:
     return replace(dataset, description=replace(dataset.description, cameras=entries))
 
 
-def run_one(dataset: Dataset, error: float, config: WrongClocks) -> Row:
+def run_one(dataset: Dataset, error: float, config: WrongClocks) -> ClockScores:
     """Reconstruct with these times and score against the true ones; kept when it is there already."""
     folder = config.out / f"error_{error:g}_seed_{config.seed}"
     known = folder / "row.json"
     if not known.exists():
         write_json(known, asdict(_reconstruct_and_score(dataset, error, config, folder)))
-    return Row(**read_json(known))
+    return ClockScores(**read_json(known))
 
 
-def _reconstruct_and_score(dataset: Dataset, error: float, config: WrongClocks, folder: Path) -> Row:
+def _reconstruct_and_score(dataset: Dataset, error: float, config: WrongClocks, folder: Path) -> ClockScores:
     wrong = believing(dataset, error)
     copy = folder / "dataset"
     left_out = shutil.ignore_patterns(".*", "*.zarr", "*.blend")
@@ -123,7 +123,7 @@ def _reconstruct_and_score(dataset: Dataset, error: float, config: WrongClocks, 
     true = evaluate(result, dataset)
     pictures_alone = replace(wrong, description=replace(wrong.description, velocity=None))
     shifts = error * mistakes(dataset).mean(1) / dataset.frame_time_s
-    row = Row(
+    row = ClockScores(
         error=error,
         shift_frames=shifts.round(3).tolist(),
         l2=true.dve.l2,

@@ -19,7 +19,7 @@ from gof.dataset import Dataset
 from gof.footage.flame_mask import flame_mask
 from gof.footage.videos import stored_frames
 from gof_benchmark.fires import measures
-from gof_benchmark.fires.measured import Flow
+from gof_benchmark.fires.measured import SimulatedFlow
 from gof_benchmark.solvers.grids import FireGrids, FireHistory
 from gof_blender.core.checked_json import SpecError
 from gof_blender.pure.fires import GridFire
@@ -30,7 +30,7 @@ PROBES = 7  # heights on the axis, up to two diameters, whose speed is looked at
 
 
 @dataclass(frozen=True)
-class View:
+class SideView:
     """A flame from one side.
 
     Args:
@@ -62,7 +62,7 @@ class Swings:
 
 
 @dataclass(frozen=True)
-class Truth:
+class SimulationFacts:
     """Facts that only a simulation knows. NaN or None where this one does not.
 
     Args:
@@ -87,7 +87,7 @@ class Truth:
     hottest_k: float = math.nan
     cpu_s: float = math.nan
     windy: bool = False
-    flow: Flow | None = None
+    flow: SimulatedFlow | None = None
 
 
 @dataclass(frozen=True)
@@ -103,8 +103,8 @@ class ViewedFlame:
     name: str
     source: str
     time_s: np.ndarray
-    views: tuple[View, ...]
-    truth: Truth | None = None
+    views: tuple[SideView, ...]
+    truth: SimulationFacts | None = None
     cut: bool = False
 
 
@@ -156,7 +156,7 @@ def of_grids(fire: FireGrids) -> ViewedFlame:
     heat, hot = fire.grids.get("heat_release"), fire.grids.get("temperature")
     burnt = [measures.heat_release_kw(heat.cells(k), fire.voxel_m) for k in frames] if heat else [math.nan]
     shining = measures.light_speed(velocity(), light())
-    truth = Truth(
+    truth = SimulationFacts(
         diameter_m=hearth.diameter_m,
         axis=axis,
         swings=swings,
@@ -168,9 +168,9 @@ def of_grids(fire: FireGrids) -> ViewedFlame:
         hottest_k=max(float(hot.cells(k).max()) for k in frames) if hot else math.nan,
         cpu_s=sum(fire.description.cpu_s.values()),
         windy=any(fire.description.wind_m_s),
-        flow=Flow(fire.velocity, np.array(hearth.position_m, float)),
+        flow=SimulatedFlow(fire.velocity, np.array(hearth.position_m, float)),
     )
-    views = tuple(View(z, brightest, total) for brightest in (from_x, from_y))
+    views = tuple(SideView(z, brightest, total) for brightest in (from_x, from_y))
     return ViewedFlame(fire.description.name, fire.description.solver.split()[0], fire.times_s, views, truth)
 
 
@@ -236,11 +236,11 @@ def of_dataset(dataset: Dataset) -> ViewedFlame:
     top = float(height_m[-1])
     views = tuple(_picture_view(dataset, number, base, top) for number in range(len(dataset.cameras)))
     windy = "wind" in spec.effect_names
-    truth = Truth(diameter_m, axis, swings, fastest, windy=windy, flow=Flow(fields, base))
+    truth = SimulationFacts(diameter_m, axis, swings, fastest, windy=windy, flow=SimulatedFlow(fields, base))
     return ViewedFlame("/".join(dataset.path.resolve().parts[-2:]), "Mantaflow", dataset.times_s, views, truth)
 
 
-def _picture_view(dataset: Dataset, number: int, base: np.ndarray, top_m: float) -> View:
+def _picture_view(dataset: Dataset, number: int, base: np.ndarray, top_m: float) -> SideView:
     """Return a camera's linear red light by height: a picture's row is the height of the axis that it shows."""
     camera = dataset.cameras[number]
     step = _row_m(camera, base, top_m)
@@ -249,7 +249,7 @@ def _picture_view(dataset: Dataset, number: int, base: np.ndarray, top_m: float)
     inside = (pixels[:, 1] >= 0.5) & (pixels[:, 1] <= camera.height - 0.5)
     height, rows = height[inside], pixels[inside, 1] - 0.5
     red = [_flame_red(dataset.file(number, "exr", k)) for k in range(len(dataset.times_s))]
-    return View(height, *(_at_rows(red, by, rows) for by in (_brightest, _total)))
+    return SideView(height, *(_at_rows(red, by, rows) for by in (_brightest, _total)))
 
 
 def _brightest(red: np.ndarray) -> np.ndarray:
@@ -300,11 +300,11 @@ def of_clips(name: str, videos: list[Path], rate_hz: float) -> ViewedFlame:
         raise DataFormatError(f"{videos[0].parent}: at which rate was this filmed? --clip-rate-hz 400, for example")
     filmed = [_filmed_view(video) for video in videos]
     count = min(len(view.total) for view, _ in filmed)
-    views = tuple(View(view.height, view.brightest[:count], view.total[:count]) for view, _ in filmed)
+    views = tuple(SideView(view.height, view.brightest[:count], view.total[:count]) for view, _ in filmed)
     return ViewedFlame(name, "real", np.arange(count) / rate_hz, views, cut=any(cut for _, cut in filmed))
 
 
-def _filmed_view(video: Path) -> tuple[View, bool]:
+def _filmed_view(video: Path) -> tuple[SideView, bool]:
     """Return a camera's view, and whether flame leaves its picture."""
     frames = np.array(list(stored_frames(video)))
     plate = frames.min(0)
@@ -316,7 +316,7 @@ def _filmed_view(video: Path) -> tuple[View, bool]:
     rows = np.nonzero(region.any(1))[0]
     part = red[:, rows[0] : rows[-1] + 1][:, ::-1]  # from the foot up
     cut = bool(region[0].any() or region[:, 0].any() or region[:, -1].any())
-    return View(np.arange(part.shape[1]) + 0.5, part.max(2), part.sum(2, dtype=float)), cut
+    return SideView(np.arange(part.shape[1]) + 0.5, part.max(2), part.sum(2, dtype=float)), cut
 
 
 def _flame_region(frames: np.ndarray, plate: np.ndarray) -> np.ndarray:

@@ -15,7 +15,7 @@ from gof.dataset import DatasetDescription
 from gof.host.terminal import progress_bar
 from gof.look.charts import line_chart
 from gof_benchmark.fires import SPLITS, measures
-from gof_benchmark.fires.flames import Axis, Truth, View, ViewedFlame, flame_of
+from gof_benchmark.fires.flames import Axis, SideView, SimulationFacts, ViewedFlame, flame_of
 from gof_benchmark.fires.measured import MeasuredFire, compare, read_database
 from gof_benchmark.fires.measures import ZONES, heskestad_heat, heskestad_height, mccaffrey_speed, puffing_law
 
@@ -75,7 +75,7 @@ class Laws:
 
 
 @dataclass(frozen=True)
-class Seen:
+class PictureMeasures:
     """Measures of pictures, of a filmed fire too: medians over the views.
 
     Args:
@@ -94,18 +94,20 @@ class Seen:
     over_gas: float
 
 
-def seen(flame: ViewedFlame) -> Seen:
-    """Return the measures of the views; see `Seen`."""
+def seen(flame: ViewedFlame) -> PictureMeasures:
+    """Return the measures of the views; see `PictureMeasures`."""
     per_view = [_seen(flame.time_s, view) for view in flame.views]
     height, flicker, slope, *rise = (_median(values) for values in zip(*per_view, strict=True))
     middles = height * np.mean(BANDS, axis=1)
     over_gas = math.nan
     if flame.truth and not flame.truth.windy:
         over_gas = _mean(height * np.array(rise) / _speed_at(flame.truth.axis, middles))
-    return Seen(height, flicker, slope, tuple(rise), measures.power_law(middles, np.array(rise))[1], over_gas)
+    return PictureMeasures(
+        height, flicker, slope, tuple(rise), measures.power_law(middles, np.array(rise))[1], over_gas
+    )
 
 
-def _seen(time_s: np.ndarray, view: View) -> tuple[float, ...]:
+def _seen(time_s: np.ndarray, view: SideView) -> tuple[float, ...]:
     """Return (height, flicker, its slope, rise in each of BANDS in flame heights a second) of one view."""
     height = measures.flame_height(view.brightest, view.height)
     rise = [
@@ -117,7 +119,7 @@ def _seen(time_s: np.ndarray, view: View) -> tuple[float, ...]:
     return height, *measures.flicker(time_s, view.total.sum(1)), *rise
 
 
-def laws(truth: Truth, height_m: float) -> Laws:
+def laws(truth: SimulationFacts, height_m: float) -> Laws:
     """Return a simulated fire whose visible flame is so high, beside the laws; see `Laws`."""
     inferred = math.isnan(truth.heat_kw)
     heat_kw = heskestad_heat(height_m, truth.diameter_m) if inferred and not truth.windy else truth.heat_kw
@@ -213,7 +215,7 @@ SOLVER_HEAD = (
 )
 
 
-def laws_row(flame: ViewedFlame, looks: Seen) -> tuple[str, ...]:
+def laws_row(flame: ViewedFlame, looks: PictureMeasures) -> tuple[str, ...]:
     """Return a simulated fire's line under LAWS_HEAD."""
     truth, figures = flame.truth, laws(flame.truth, looks.height)
     height = f"{looks.height:.2f}" + ("" if math.isnan(figures.height_law_m) else f" ({figures.height_law_m:.2f})")
@@ -233,7 +235,7 @@ def laws_row(flame: ViewedFlame, looks: Seen) -> tuple[str, ...]:
     )
 
 
-def seen_row(flame: ViewedFlame, looks: Seen) -> tuple[str, ...]:
+def seen_row(flame: ViewedFlame, looks: PictureMeasures) -> tuple[str, ...]:
     """Return a fire's line under SEEN_HEAD."""
     rate = 1 / float(np.median(np.diff(flame.time_s)))
     return (
@@ -248,7 +250,7 @@ def seen_row(flame: ViewedFlame, looks: Seen) -> tuple[str, ...]:
     )
 
 
-def solver_row(flame: ViewedFlame, looks: Seen) -> tuple[str, ...]:
+def solver_row(flame: ViewedFlame, looks: PictureMeasures) -> tuple[str, ...]:
     """Return a solver's fire's line under SOLVER_HEAD."""
     truth, figures = flame.truth, laws(flame.truth, looks.height)
     return (
@@ -305,7 +307,7 @@ def table(head: tuple[str, ...], rows: list[tuple[str, ...]]) -> str:
 # ---------------------------------------------------------------- charts
 
 
-def draw(flames: list[ViewedFlame], looks: list[Seen], folder: Path) -> None:
+def draw(flames: list[ViewedFlame], looks: list[PictureMeasures], folder: Path) -> None:
     """Draw the speed on the axis in still air, scaled as McCaffrey does, a chart a solver; all flicker in one chart."""
     folder.mkdir(parents=True, exist_ok=True)
     for source in sorted({flame.source for flame in flames if flame.truth}):

@@ -60,7 +60,7 @@ class MeasuredFire:
 
 
 @dataclass(frozen=True)
-class Flow:
+class SimulatedFlow:
     """A simulated fire's velocity, and the middle of its burner's mouth (3,) m."""
 
     velocity: VelocitySequence
@@ -158,7 +158,7 @@ def _rows(file: Path, columns: tuple[str, ...], units: bool = False) -> np.ndarr
     return rows
 
 
-def compare(flow: Flow, measured: MeasuredFire) -> Comparison:
+def compare(flow: SimulatedFlow, measured: MeasuredFire) -> Comparison:
     """Average a simulated fire over its clip and around its axis, and hold it beside a measured one.
 
     A fluctuation is from the mean around the ring, as the fire is round in the mean: so a short clip does not hide it.

@@ -15,7 +15,7 @@ from pathlib import Path
 
 from gof.core.costs import StageLog
 from gof.core.errors import GofError
-from gof.core.time_left import Machine, TimeLeft
+from gof.core.time_left import MachineLoad, TimeLeft
 from gof.host import extras
 from gof.host.terminal import progress_bar
 from gof_benchmark.generator import machine
@@ -57,7 +57,7 @@ def make(
     if not layout.bake_marker.exists():
         machine.refuse_if_too_large(spec, layout.root)
     with workers_for(scheduler, workers, tls) as there:
-        Generation(spec, layout, there, log, Machine.measured_now()).run()
+        Generation(spec, layout, there, log, MachineLoad.measured_now()).run()
 
 
 class Generation:
@@ -69,7 +69,7 @@ class Generation:
         layout: Layout,
         workers: LocalWorkers | ClusterWorkers,
         log: StageLog,
-        now: Machine,
+        now: MachineLoad,
     ):
         """Args: now: this machine when the work begins."""
         self._spec = spec

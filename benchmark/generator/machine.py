@@ -55,7 +55,7 @@ def refuse_if_too_large(spec: SceneSpec, root: Path) -> Prediction:
     Raises:
         GofError: memory or disk of this machine do not suffice; says what would fit.
     """
-    print(predict_here(spec, time_left.Machine.measured_now()), flush=True)
+    print(predict_here(spec, time_left.MachineLoad.measured_now()), flush=True)
     return refuse(spec, root)
 
 

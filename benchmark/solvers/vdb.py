@@ -65,7 +65,7 @@ class FromVdb:
 
 
 @dataclass(frozen=True)
-class Box:
+class GridExtent:
     """Cells of all frames: index of the first, how many, a cell's edge and the place of index 0 in the files' units."""
 
     low: tuple[int, int, int]
@@ -125,7 +125,7 @@ class Sequence:
             self.notes.append(f"{dark}: without the grid '{self.glow}', taken as dark")
 
     @cached_property
-    def box(self) -> Box:
+    def box(self) -> GridExtent:
         """Around what is stored of any of the grids in any frame."""
         lows, highs, first = [], [], None
         for path in self.files:
@@ -142,7 +142,7 @@ class Sequence:
         if not lows:
             raise DataFormatError(f"{self.files[0]} and the others are empty")
         low, high = np.min(lows, axis=0), np.max(highs, axis=0)
-        return Box(tuple(low.tolist()), tuple((high - low + 1).tolist()), first[0], first[1:])
+        return GridExtent(tuple(low.tolist()), tuple((high - low + 1).tolist()), first[0], first[1:])
 
     def frame(self, index: int) -> FireFrame:
         config, path = self.config, self.files[index]

@@ -40,7 +40,7 @@ class ScoreStudy:
 
 
 @dataclass(frozen=True)
-class Row:
+class OrderScore:
     """The score of one order and one weight."""
 
     order: int
@@ -62,7 +62,7 @@ def main(argv: list[str]) -> int:
             began = time.perf_counter()
             with progress_bar(f"order {order}, {opacity}") as progress:
                 found = evaluate(config.result, dataset, order, opacity, images=False, progress=progress).dve
-            rows.append(Row(order, opacity, found.l2, found.cos_sim, round(time.perf_counter() - began, 1)))
+            rows.append(OrderScore(order, opacity, found.l2, found.cos_sim, round(time.perf_counter() - began, 1)))
     table = Table(title="Velocity (DVE) by order and weight", title_justify="left")
     for column in ("order", "opacity", "L2", "CosSim", "seconds"):
         table.add_column(column, justify="right")

@@ -10,7 +10,7 @@ from gof.core.errors import DataFormatError
 from gof.core.files import read_json
 from gof.core.records import read_record
 from gof.dataset import Dataset
-from gof.dataset.pack import Truth
+from gof.dataset.pack import VelocityFingerprint
 from gof_benchmark.suite import FOLDER, SIZES, Size, SuiteScene, scenes_of
 from gof_benchmark.views.shrunk import SHRUNK
 from gof_blender.core.checked_json import SpecError
@@ -100,7 +100,7 @@ class SuiteTruths:
     VERSION: ClassVar[int] = 1
 
     made_with: dict[str, str]
-    fires: dict[str, dict[str, Truth]]
+    fires: dict[str, dict[str, VelocityFingerprint]]
 
 
 def compare(scene: SuiteScene, size: Size, dataset: Dataset) -> tuple[Verdict, str]:
@@ -109,7 +109,7 @@ def compare(scene: SuiteScene, size: Size, dataset: Dataset) -> tuple[Verdict, s
     recorded = truths.fires.get(scene.fire, {}).get(size)
     if recorded is None:
         return "unknown", f"no truth of {scene.fire} is recorded in this size: it has not been made yet"
-    differs = Truth.of(dataset).differs(recorded)
+    differs = VelocityFingerprint.of(dataset).differs(recorded)
     if not differs:
         return "same", "its truth is the recorded one, to the bit"
     made_with = truths.made_with[scene.solver]

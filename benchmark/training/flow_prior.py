@@ -61,7 +61,7 @@ class TrainConfig:
 
 
 @dataclass(frozen=True)
-class Samples:
+class LitVoxels:
     """Lit voxels of one or many flames, (N, ...) float32.
 
     Attributes:
@@ -78,7 +78,9 @@ class Samples:
     scale: torch.Tensor
 
     @classmethod
-    def of(cls, describer: FlameDescriber, truth: np.ndarray, rng: np.random.Generator, most: int = 30_000) -> Samples:
+    def of(
+        cls, describer: FlameDescriber, truth: np.ndarray, rng: np.random.Generator, most: int = 30_000
+    ) -> LitVoxels:
         """Return at most so many voxels of a flame.
 
         Args:
@@ -103,7 +105,7 @@ class Samples:
         return cls(*(torch.tensor(array, dtype=torch.float32) for array in arrays))
 
     @classmethod
-    def joined(cls, flames: list[Samples]) -> Samples:
+    def joined(cls, flames: list[LitVoxels]) -> LitVoxels:
         """Return every flame counts alike, whatever it has of voxels."""
         mean = sum(len(flame) for flame in flames) / len(flames)
         parts = [replace(flame, weight=flame.weight * mean / len(flame)) for flame in flames]
@@ -125,7 +127,7 @@ class TrainingFlame:
 
     clues: PaceClues
     pace: float
-    samples: Samples
+    samples: LitVoxels
     stands: bool
 
     @classmethod
@@ -135,7 +137,7 @@ class TrainingFlame:
         if describer is None:
             raise GofError("a flame in which nothing moves cannot be trained on")
         pace = mean_speed(truth, field.emission)
-        samples = Samples.of(describer, truth / pace, np.random.default_rng(0))
+        samples = LitVoxels.of(describer, truth / pace, np.random.default_rng(0))
         return cls(PaceClues.of(describer.axis, describer.log_light), pace, samples, stands(describer.axis))
 
 
@@ -174,7 +176,7 @@ HEADER = """\
 
 
 @dataclass(frozen=True)
-class Row:
+class FlameErrors:
     """A flame's figures before and after the prior, and its trivial baselines'.
 
     Attributes:
@@ -191,7 +193,7 @@ class Row:
     trivial_baselines: tuple[tuple[float, ...], ...]
 
     @classmethod
-    def of(cls, clip: TrainingClip, prior: FlowPrior) -> Row:
+    def of(cls, clip: TrainingClip, prior: FlowPrior) -> FlameErrors:
         seen, dataset = clip.field, clip.dataset
         found = prior.correct(seen)
         trivial_baselines = mean_per_height(seen, dataset), best_constant(seen, dataset), buoyant_law(seen)
@@ -204,7 +206,7 @@ class Row:
         )
 
     @classmethod
-    def mean(cls, rows: list[Row]) -> Row:
+    def mean(cls, rows: list[FlameErrors]) -> FlameErrors:
         def of(name: str) -> np.ndarray:
             return np.mean([getattr(row, name) for row in rows], axis=0)
 
@@ -236,17 +238,19 @@ class Scaling:
     deviation: torch.Tensor
 
     @classmethod
-    def of(cls, samples: Samples) -> Scaling:
+    def of(cls, samples: LitVoxels) -> Scaling:
         return cls(samples.features.mean(0), samples.features.std(0) + 1e-3)
 
     def __call__(self, features: torch.Tensor) -> torch.Tensor:
         return (features - self.mean) / self.deviation
 
 
-def train_velocity(flames: list[Samples], seed: int = 0, members: int = 4, steps: int = 700) -> tuple[Scaling, Network]:
+def train_velocity(
+    flames: list[LitVoxels], seed: int = 0, members: int = 4, steps: int = 700
+) -> tuple[Scaling, Network]:
     """Return the ensemble that gives the velocity over the pace, by AdamW with noise on the features."""
     torch.manual_seed(seed)
-    samples = Samples.joined(flames)
+    samples = LitVoxels.joined(flames)
     scaling = Scaling.of(samples)
     layers = new_layers([len(FEATURES), 20, 20, VECTORS], members)
 
@@ -270,7 +274,7 @@ def velocity_loss(
 
 
 def train_uncertainty(
-    scaling: Scaling, flames: list[Samples], errors: list[torch.Tensor], seed: int = 0, steps: int = 500
+    scaling: Scaling, flames: list[LitVoxels], errors: list[torch.Tensor], seed: int = 0, steps: int = 500
 ) -> Network:
     """Return one network for the log of the standard deviation, over the pace, by maximum likelihood.
 
@@ -279,7 +283,7 @@ def train_uncertainty(
             of what they know than they may be of a new flame.
     """
     torch.manual_seed(seed)
-    samples = Samples.joined(flames)
+    samples = LitVoxels.joined(flames)
     variance = (torch.cat(errors) ** 2).mean(-1)
     layers = new_layers([len(FEATURES), 12, 1], 1)
 
@@ -324,7 +328,7 @@ def plain(layers: Layers) -> Network:
     return [(weight.detach().numpy(), bias.detach().numpy()) for weight, bias in layers]
 
 
-def held_out_error(scaling: Scaling, network: Network, samples: Samples, pace: float = 1.0) -> torch.Tensor:
+def held_out_error(scaling: Scaling, network: Network, samples: LitVoxels, pace: float = 1.0) -> torch.Tensor:
     """Return (N, 3) of an ensemble on a flame that it was not trained on, over the pace that was estimated for it.
 
     Args:
@@ -355,7 +359,7 @@ def main(argv: list[str] | None = None) -> None:
     rows = []
 
     def show(name: str, clip: TrainingClip, prior: FlowPrior) -> None:
-        rows.append(Row.of(clip, prior))
+        rows.append(FlameErrors.of(clip, prior))
         print(f"| `{name}` | {rows[-1]} |", flush=True)
 
     others = [[other for other in clips if other.burns != clip.burns] for clip in clips]
@@ -370,7 +374,7 @@ def main(argv: list[str] | None = None) -> None:
     for clip, known, left in zip(clips, others, without, strict=True):
         uncertainty = uncertainty_of(known, left.scaling)
         show(clip.dataset.path.name, clip, prior_of(left.scaling, left.velocity, uncertainty, left.pace))
-    print(f"| mean | {Row.mean(rows)} |")
+    print(f"| mean | {FlameErrors.mean(rows)} |")
     for metres in (True, False):
         off = [pace_error(clip, left.pace, metres) for clip, left in zip(clips, without, strict=True)]
         unit = "in metres" if metres else "unit unknown"
@@ -389,7 +393,7 @@ def main(argv: list[str] | None = None) -> None:
     print(f"weights -> {config.out}")
 
 
-def samples_of(clips: list[TrainingClip]) -> list[Samples]:
+def samples_of(clips: list[TrainingClip]) -> list[LitVoxels]:
     return [flame.samples for clip in clips for flame in clip.flames]
 
 

@@ -42,7 +42,7 @@ GROW_PX, GROW_TIMES = 5, 2  # the flame's mask for training is wider than the on
 
 
 @dataclass(frozen=True)
-class Window:
+class FrameWindow:
     """The frames of the bundle, r = 0..count-1, are the dataset's from `first` on; every `test_every`-th is held out.
 
     `test_every` is 0 where none is.
@@ -53,7 +53,7 @@ class Window:
     test_every: int
 
     @classmethod
-    def of(cls, dataset: Dataset) -> Window:
+    def of(cls, dataset: Dataset) -> FrameWindow:
         """Build it. Raises DataFormatError: the held-out frames are not every n-th one, which is all their trainer
         knows."""
         test, frames = dataset.test_frames, len(dataset.times_s)
@@ -81,7 +81,7 @@ class Bundle:
     source: ViewSource
     numbers: tuple[int, ...]
     dataset: Dataset
-    window: Window
+    window: FrameWindow
     observation: Observation
     field: FlowField
     folder: Path
@@ -121,7 +121,7 @@ def write(source: ViewSource) -> None:
     for camera in dataset.cameras:
         if not is_centred(camera):
             raise DataFormatError(f"{dataset.path}: camera '{camera.name}' is off centre; the bundle has only an angle")
-    window = Window.of(dataset)
+    window = FrameWindow.of(dataset)
     observation = observe(shrink(dataset, EFFORT.longest_side), MADE_BY)
     field = seen_flow_field(observation, MADE_BY, EFFORT.voxels)
     numbers = tuple(number for number, trains in enumerate(source.trains) if trains)

@@ -26,7 +26,7 @@ COLOURS = ("red", "green", "blue")
 
 
 @dataclass(frozen=True)
-class Points:
+class ColouredPoints:
     """position (N, 3) m, colour (N, 3) uint8."""
 
     position: np.ndarray
@@ -35,29 +35,31 @@ class Points:
     def __len__(self) -> int:
         return len(self.position)
 
-    def some(self, count: int, seed: int) -> Points:
+    def some(self, count: int, seed: int) -> ColouredPoints:
         """Return at most `count` of them, drawn at random."""
         chosen = np.random.default_rng(seed).permutation(len(self))[:count]
-        return Points(self.position[chosen], self.colour[chosen])
+        return ColouredPoints(self.position[chosen], self.colour[chosen])
 
-    def and_also(self, other: Points) -> Points:
-        return Points(np.concatenate([self.position, other.position]), np.concatenate([self.colour, other.colour]))
+    def and_also(self, other: ColouredPoints) -> ColouredPoints:
+        return ColouredPoints(
+            np.concatenate([self.position, other.position]), np.concatenate([self.colour, other.colour])
+        )
 
 
 @dataclass(frozen=True)
 class StartingPoints:
     """Attributes: still; flame, by training frame."""
 
-    still: Points
-    flame: dict[int, Points]
+    still: ColouredPoints
+    flame: dict[int, ColouredPoints]
 
     @classmethod
     def of(cls, source: ViewSource) -> StartingPoints:
         """Build it. Raises DataFormatError: no plates to tell a flame from, or no flame that two cameras see."""
         numbers = [number for number, trains in enumerate(source.trains) if trains]
-        return cls(Points(*surface_points(source, numbers)), _hulls(source, numbers))
+        return cls(ColouredPoints(*surface_points(source, numbers)), _hulls(source, numbers))
 
-    def all(self) -> Points:
+    def all(self) -> ColouredPoints:
         """Still ones, and those of all frames together."""
         flame = list(self.flame.values())
         together = flame[0]
@@ -66,7 +68,7 @@ class StartingPoints:
         return self.still.and_also(together.some(FLAME_POINTS, seed=0))
 
 
-def _hulls(source: ViewSource, numbers: list[int]) -> dict[int, Points]:
+def _hulls(source: ViewSource, numbers: list[int]) -> dict[int, ColouredPoints]:
     dataset = replace(source.dataset, cameras=[source.dataset.cameras[number] for number in numbers])
     cameras = range(len(numbers))
     plates = [dataset.static(camera) for camera in cameras]
@@ -82,13 +84,13 @@ def _hulls(source: ViewSource, numbers: list[int]) -> dict[int, Points]:
         chosen = rng.permutation(inside)[:PER_FRAME]
         jitter = voxels.voxel_size * rng.uniform(-0.5, 0.5, (len(chosen), 3))
         colour = np.nanmean(np.where(seen[:, chosen, None] == 1, voxels.sample(image)[:, chosen], np.nan), 0)
-        found[frame] = Points(voxels.center[chosen] + jitter, np.uint8(255 * colour + 0.5))
+        found[frame] = ColouredPoints(voxels.center[chosen] + jitter, np.uint8(255 * colour + 0.5))
     if not any(map(len, found.values())):
         raise DataFormatError(f"{dataset.path}: no point lies in the flame masks of all cameras; check the poses")
     return found
 
 
-def write_ply(path: Path, points: Points) -> None:
+def write_ply(path: Path, points: ColouredPoints) -> None:
     """x, y, z, nx, ny, nz (zero), red, green, blue, as readers of 3D Gaussian Splatting want them."""
     rows = np.zeros(
         len(points), [(name, "<f4") for name in ("x", "y", "z", "nx", "ny", "nz")] + [(c, "u1") for c in COLOURS]

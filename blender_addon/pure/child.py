@@ -31,7 +31,7 @@ def python() -> list[str]:
     return [sys.executable, "-c"]
 
 
-class Said:
+class WorkerMessages:
     """A worker's messages so far; a thread listens to it, so that `read` never waits.
 
     Attributes:

@@ -126,7 +126,7 @@ def predict(spec: SceneSpec, machine: Machine) -> Prediction:
     )
 
 
-def predict_here(spec: SceneSpec, now: time_left.Machine = time_left.REFERENCE) -> Prediction:
+def predict_here(spec: SceneSpec, now: time_left.MachineLoad = time_left.REFERENCE) -> Prediction:
     """Return seconds of the clock on this machine, by what is known of it and what its runs have taken.
 
     Args:
@@ -134,7 +134,7 @@ def predict_here(spec: SceneSpec, now: time_left.Machine = time_left.REFERENCE) 
     """
     known, paces = known_machine(), Paces.known()
     prediction = predict(spec, known or REFERENCE)
-    now = time_left.Machine(1.0, now.crowded) if known else now
+    now = time_left.MachineLoad(1.0, now.crowded) if known else now
     seconds = paces.expected_s(prediction.by_stage, now)
     if "render" in paces.ratios:
         prediction = replace(prediction, error=LEARNED_ERROR, measured_on="this machine's own runs")

@@ -21,7 +21,7 @@ from ..core.time_left import TimeLeft, duration
 from . import cost_model, effects
 from . import spec as scene_spec
 from .brightness import Brightness
-from .child import JobError, Said, code, last_lines
+from .child import JobError, WorkerMessages, code, last_lines
 from .layout import Layout
 from .spec import SceneSpec
 
@@ -75,14 +75,14 @@ class Job:
         self._heard = 0.0
         self._waiting = stages(spec)
         self._process: subprocess.Popen | None = None
-        self._said = Said()
+        self._messages = WorkerMessages()
         self._start = 0.0
         self._log = StageLog(layout.costs)
 
     @property
     def fraction(self) -> float:
         total = sum(self._expected.values())
-        now = self._expected[self.stage] * (1 - self._said.share) if self.stage else 0.0
+        now = self._expected[self.stage] * (1 - self._messages.share) if self.stage else 0.0
         return max(1.0 - (now + self._later()) / total, 0.0)  # sums in another order differ by a rounding
 
     @property
@@ -91,9 +91,9 @@ class Job:
 
     def __str__(self) -> str:
         left = duration(self.seconds_left)
-        if not self._said.total:
+        if not self._messages.total:
             return f"{self.stage or 'ready'} starts, about {left} left"
-        return f"{self.stage} {self._said.done} of {self._said.total}{UNITS.get(self.stage, '')}, {left} left"
+        return f"{self.stage} {self._messages.done} of {self._messages.total}{UNITS.get(self.stage, '')}, {left} left"
 
     def poll(self) -> bool:
         """Take note of progress and go on to the next stage. Returns whether there is more to do.
@@ -101,7 +101,7 @@ class Job:
         Raises:
             JobError: a stage failed; its last lines are in the message and in the log.
         """
-        self._said.read()
+        self._messages.read()
         if self._process is not None:
             status = self._process.poll()
             if status is None:
@@ -149,13 +149,13 @@ class Job:
                 stdout=subprocess.PIPE,
                 stderr=errors,
             )
-        self._said = Said(self._process.stdout)
+        self._messages = WorkerMessages(self._process.stdout)
         self._heard = 0.0
         self._pace.reach(self.stage, 0.0)
 
     def _end_of_stage(self, status: int) -> None:
         self._process = None
-        self._said.read_rest()
+        self._messages.read_rest()
         now = time.monotonic()
         if status:
             message = f"{self.stage} failed with status {status}:\n{last_lines(self._errors())}"
@@ -167,16 +167,16 @@ class Job:
             self._note(str(seen))
         seconds, before = now - self._start, {cost.name: cost.settings for cost in self._log.stages()}
         settings["wall_s"] = round(before.get(self.stage, {}).get("wall_s", 0.0) + seconds, 3)
-        self._log.record(self.stage, seconds, self._said.peak_mb, settings, resumed=True)
-        self._note(f"{self.stage}: {seconds:.0f} s, {self._said.peak_mb:.0f} MB")
+        self._log.record(self.stage, seconds, self._messages.peak_mb, settings, resumed=True)
+        self._note(f"{self.stage}: {seconds:.0f} s, {self._messages.peak_mb:.0f} MB")
 
     def _left_here(self) -> float:
         """Return seconds left in this stage."""
         if not self.stage:
             return 0.0
-        if self._said.total and self._said.share != self._heard:
-            self._pace.reach(self.stage, self._said.share)
-            self._heard = self._said.share
+        if self._messages.total and self._messages.share != self._heard:
+            self._pace.reach(self.stage, self._messages.share)
+            self._heard = self._messages.share
         return self._pace.left_here or 0.0
 
     def _later(self) -> float:
@@ -289,8 +289,8 @@ def scene_notes(spec: SceneSpec, python: list[str]) -> list[str]:
         raise SpecError(last[0])
     if status:
         raise JobError(f"looking into {spec.blend_file.path} failed with status {status}: {last[0]}")
-    said = [line for line in out.splitlines() if line.startswith('{"notes"')]
-    return json.loads(said[-1])["notes"]
+    lines = [line for line in out.splitlines() if line.startswith('{"notes"')]
+    return json.loads(lines[-1])["notes"]
 
 
 def _run(command: list[str], folder: Path) -> tuple[int, str, str]:

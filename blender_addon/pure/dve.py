@@ -25,7 +25,7 @@ from .io.cloud import GaussianCloud
 
 
 @dataclass(frozen=True)
-class TrivialScore:
+class BaselineScore:
     """The score of velocities that anybody could guess."""
 
     l2: float | None
@@ -35,12 +35,12 @@ class TrivialScore:
 class TrivialBaselines:
     """zero: no motion at all; constant: one vector for everything, the mean true velocity."""
 
-    zero: TrivialScore | None = None
-    constant: TrivialScore | None = None
+    zero: BaselineScore | None = None
+    constant: BaselineScore | None = None
 
 
 @dataclass(frozen=True)
-class VelocityScore:
+class SequenceScore:
     """DVE of a sequence.
 
     Attributes:
@@ -57,19 +57,19 @@ class VelocityScore:
 
 
 @dataclass(frozen=True)
-class Scores:
+class MotionScores:
     """dve: None where nothing could be scored; `warnings` say why, or what to mind."""
 
     SCHEMA: ClassVar[str] = "gof-scores"
     VERSION: ClassVar[int] = 1
     FORMER: ClassVar[dict[str, str]] = {"controls": "trivial_baselines"}  # of 0.2; goes with the next version
 
-    dve: VelocityScore | None = None
+    dve: SequenceScore | None = None
     trivial_baselines: TrivialBaselines = field(default_factory=TrivialBaselines)
     warnings: tuple[str, ...] = ()
 
     @classmethod
-    def read(cls, path: Path) -> Scores:
+    def read(cls, path: Path) -> MotionScores:
         """Read a scores.json. Raises DataFormatError: absent, or not what this version reads (names the field)."""
         try:
             return read_record(cls, path)
@@ -105,7 +105,7 @@ CLAMP = 40.0  # lifetimes away from its moment a Gaussian is gone in any precisi
 
 
 @dataclass(frozen=True)
-class Frame:
+class ProbedFrame:
     """Moving Gaussians at one time: weight (M,) m^3; velocity of the gas, truth (M, 3) m/s; inside (M,), share in the
     box."""
 
@@ -116,7 +116,7 @@ class Frame:
 
 
 @dataclass(frozen=True)
-class Window:
+class CellWindow:
     """Cells of one stored frame, in memory.
 
     Attributes:
@@ -132,7 +132,7 @@ class Window:
     world_to_index: np.ndarray
 
     @classmethod
-    def read(cls, truth: VelocitySequence, number: int, low: np.ndarray, high: np.ndarray) -> Window:
+    def read(cls, truth: VelocitySequence, number: int, low: np.ndarray, high: np.ndarray) -> CellWindow:
         """Return the cells that points between two world corners (3,) are interpolated from. Raises:
         DataFormatError."""
         to_index, grid = np.linalg.inv(truth.index_to_world), truth.resolution
@@ -151,7 +151,7 @@ class Window:
 
 
 @dataclass(frozen=True)
-class Sums:
+class FrameSums:
     """Weighted sums over the Gaussians of one or more frames. Weights in m^3, speeds in m/s."""
 
     weight: float = 0.0
@@ -161,12 +161,12 @@ class Sums:
     outside: float = 0.0
     truth: tuple[float, float, float] = (0.0, 0.0, 0.0)
 
-    def __add__(self, other: Sums) -> Sums:
+    def __add__(self, other: FrameSums) -> FrameSums:
         plain = {name: getattr(self, name) + getattr(other, name) for name in vars(self) if name != "truth"}
-        return Sums(**plain, truth=tuple(np.add(self.truth, other.truth).tolist()))
+        return FrameSums(**plain, truth=tuple(np.add(self.truth, other.truth).tolist()))
 
     @classmethod
-    def of(cls, frame: Frame) -> Sums:
+    def of(cls, frame: ProbedFrame) -> FrameSums:
         weight, velocity, truth = frame.weight, frame.velocity, frame.truth
         norms = np.linalg.norm(velocity, axis=1) * np.linalg.norm(truth, axis=1)
         dot = (velocity * truth).sum(1)
@@ -211,7 +211,7 @@ def true_velocity(dataset: Path, datum: Datum | None = None) -> VelocitySequence
     return VelocitySequence.open(path_in(dataset, name)).measured_from(datum or Datum())
 
 
-def score(cloud: GaussianCloud, dataset: Path) -> Iterator[tuple[int, int, Scores]]:
+def score(cloud: GaussianCloud, dataset: Path) -> Iterator[tuple[int, int, MotionScores]]:
     """Score frame after frame: (frames done, frames in all, the score of those).
 
     Raises:
@@ -227,27 +227,27 @@ def score(cloud: GaussianCloud, dataset: Path) -> Iterator[tuple[int, int, Score
     truth = true_velocity(dataset, cloud.datum)
     clip_s = np.array(DatasetDescription.read(dataset).time_s) - (cloud.datum or Datum()).time_s
     frames = _frames(truth, clip_s, dataset)
-    total, scored = Sums(), 0
+    total, scored = FrameSums(), 0
     for done, number in enumerate(frames, 1):
-        sums = Sums.of(probe(cloud, truth, number))
+        sums = FrameSums.of(probe(cloud, truth, number))
         scored += sums.truth2 > 0
         total = total + sums
         yield done, len(frames), _scores(total, scored)
 
 
-def _scores(sums: Sums, frames: int) -> Scores:
+def _scores(sums: FrameSums, frames: int) -> MotionScores:
     if sums.weight == 0:
         none = "no Gaussian has weight at any of the dataset's times: is its time in seconds of the same clock?"
-        return Scores(warnings=(none,))
+        return MotionScores(warnings=(none,))
     still = sums.truth2 == 0
-    found = VelocityScore(
+    found = SequenceScore(
         l2=sums.l2,
         cos_sim=float(np.clip(sums.cosine / sums.weight, -1, 1)),
         frames_scored=frames,
         weight_outside=min(sums.outside / sums.weight, 1.0),
     )
-    trivial_baselines = TrivialBaselines(TrivialScore(None if still else 1.0), TrivialScore(sums.l2_constant))
-    return Scores(
+    trivial_baselines = TrivialBaselines(BaselineScore(None if still else 1.0), BaselineScore(sums.l2_constant))
+    return MotionScores(
         found, trivial_baselines, ("the true velocity is zero wherever there are Gaussians",) if still else ()
     )
 
@@ -264,7 +264,7 @@ def _frames(truth: VelocitySequence, clip_s: np.ndarray, dataset: Path) -> list[
     return np.flatnonzero(in_clip).tolist()
 
 
-def probe(cloud: GaussianCloud, truth: VelocitySequence, number: int) -> Frame:
+def probe(cloud: GaussianCloud, truth: VelocitySequence, number: int) -> ProbedFrame:
     """Return the Gaussians that live and move at a stored frame, with the expected true velocity under each. Raises:
     DataFormatError."""
     dt = np.where(cloud.dynamic, truth.times_s[number] - cloud.t_mu, 0.0)
@@ -275,7 +275,7 @@ def probe(cloud: GaussianCloud, truth: VelocitySequence, number: int) -> Frame:
     weight = np.where(cloud.dynamic, scale.prod(1) * opacity, 0.0)
     rows = _not_negligible(weight, weight * (velocity**2).sum(1))
     mean, inside = expected_velocity(truth, number, position[rows], scale[rows], cloud.rotation[rows])
-    return Frame(weight[rows], velocity[rows], mean, inside)
+    return ProbedFrame(weight[rows], velocity[rows], mean, inside)
 
 
 def _not_negligible(weight: np.ndarray, power: np.ndarray) -> np.ndarray:
@@ -301,7 +301,7 @@ def expected_velocity(
     if not len(position):
         return mean, inside
     reach = NODE * np.sqrt(3.0) * scale.max(1, keepdims=True)  # the corner node, whatever the rotation
-    window = Window.read(truth, number, (position - reach).min(0), (position + reach).max(0))
+    window = CellWindow.read(truth, number, (position - reach).min(0), (position + reach).max(0))
     for start in range(0, len(position), BATCH):
         rows = slice(start, start + BATCH)
         axes = rotation_matrices(rotation[rows]) * scale[rows, None, :]  # columns: own axes times deviation

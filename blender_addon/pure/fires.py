@@ -152,7 +152,7 @@ class Fire:
     """sheets: soot glows and absorbs in thin sheets, well exposed at every size (`pure.soot`); soot: wherever gas
     burns, as in specs of version 2; reaction: every metre emits equally and nothing is absorbed, as in version 1."""
     speeds: Literal["physical", "solver"] = "physical"
-    """physical: lift and burning follow the fire's size, so that gas is as fast as in real fires (`pure.similarity`);
+    """physical: lift and burning follow the fire's size, so that gas is as fast as in real fires (`pure.fire_scaling`);
     solver: one set of constants at every size, as in specs of version 1, which is much too fast below a metre."""
     intensity: float = 1.0
     """Factor on the flame's light."""

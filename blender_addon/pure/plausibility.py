@@ -34,7 +34,7 @@ PIXELS_ACROSS = 4  # of a burner (or, where none is known, of the grids' box) in
 
 
 @dataclass(frozen=True)
-class Finding:
+class Implausibility:
     """Something that does not make sense; `fatal` where there would be no dataset."""
 
     text: str
@@ -55,27 +55,27 @@ def require_sense(spec: SceneSpec, files: bool = True) -> list[str]:
     return [finding.text for finding in found]
 
 
-def findings(spec: SceneSpec) -> list[Finding]:
+def findings(spec: SceneSpec) -> list[Implausibility]:
     """Return all that does not make sense. Raises SpecError: files of a fire of grids are wrong."""
     simulated = [*_burner(spec), *obstacles(spec)] if isinstance(spec.fire, Fire) else []
     return [*simulated, *_cameras(spec), *_room(spec)]
 
 
-def _missing_files(spec: SceneSpec) -> Iterator[Finding]:
+def _missing_files(spec: SceneSpec) -> Iterator[Implausibility]:
     if spec.blend_file and not Path(spec.blend_file.path).is_file():
-        yield Finding(f"blend_file.path: there is no file {spec.blend_file.path}", True)
+        yield Implausibility(f"blend_file.path: there is no file {spec.blend_file.path}", True)
 
 
-def _burner(spec: SceneSpec) -> Iterator[Finding]:
+def _burner(spec: SceneSpec) -> Iterator[Implausibility]:
     across, cell = 2 * spec.fire.radius, max(spec.domain.size) / spec.domain.resolution
     needed = math.ceil(CELLS_ACROSS * max(spec.domain.size) / across - 1e-9)
     finer = f"domain.resolution {needed}, or " if needed <= MOST_CELLS else ""
     way_out = f"make fire.radius {CELLS_ACROSS * cell / 2:.2g}, or {finer}domain.size smaller"
     if across < LEAST_ACROSS * cell:
         text = f"fire.radius: a burner of {_length(across)} in cells of {_length(cell)} burns nothing; {way_out}"
-        yield Finding(text, True)
+        yield Implausibility(text, True)
     elif across < (CELLS_ACROSS - 1e-9) * cell:
-        yield Finding(f"fire.radius: the burner is only {across / cell:.1f} cells across; {way_out}", False)
+        yield Implausibility(f"fire.radius: the burner is only {across / cell:.1f} cells across; {way_out}", False)
     swing = next((effect for effect in spec.effects if hasattr(effect, "reach")), None)
     if swing is not None:
         turn = math.radians(swing.direction_deg)
@@ -85,14 +85,14 @@ def _burner(spec: SceneSpec) -> Iterator[Finding]:
             )
             most = room - spec.fire.radius
             if abs(part) * swing.reach > most + 1e-9:
-                yield Finding(
+                yield Implausibility(
                     f"effects.moving_emitter.reach: the burner swings out of the domain along {'xy'[axis]}; it may "
                     f"reach {max(most, 0) / abs(part):.2g} m",
                     True,
                 )
 
 
-def obstacles(spec: SceneSpec) -> Iterator[Finding]:
+def obstacles(spec: SceneSpec) -> Iterator[Implausibility]:
     """Bodies of the effect that the solver flows around."""
     cell = max(spec.domain.size) / spec.domain.resolution
     low, high = np.array(spec.domain.min), np.array(spec.domain.max)
@@ -101,26 +101,26 @@ def obstacles(spec: SceneSpec) -> Iterator[Finding]:
             name, half = f"effects.obstacles.items[{number}]", np.array(item.size) / 2
             centre = np.array(item.position)
             if ((centre + half <= low) | (centre - half >= high)).any():
-                yield Finding(
+                yield Implausibility(
                     f"{name}.position: {point_text(centre)} is outside the domain, {box_text(spec.domain)}", True
                 )
             elif (np.abs(np.array(spec.fire.position) - centre) < half).all():
-                yield Finding(
+                yield Implausibility(
                     f"{name}.position: the obstacle stands on the burner at {point_text(spec.fire.position)}", True
                 )
             elif min(item.size) < CELLS_ACROSS * cell:
                 text = (
                     f"{name}.size: {_length(min(item.size))} is {min(item.size) / cell:.1f} cells; gas leaks through "
                 )
-                yield Finding(text + f"less than {CELLS_ACROSS}, which is {CELLS_ACROSS * cell:.2g} m", False)
+                yield Implausibility(text + f"less than {CELLS_ACROSS}, which is {CELLS_ACROSS * cell:.2g} m", False)
 
 
-def _cameras(spec: SceneSpec) -> Iterator[Finding]:
+def _cameras(spec: SceneSpec) -> Iterator[Implausibility]:
     box, burner = spec.box, spec.fire.burner
     low, high = np.array(box.min), np.array(box.max)
     foot = np.array(burner.position) if burner else np.array([*(low + high)[:2] / 2, low[2]])
     radius = burner.radius if burner else 0.0
-    thing, wide = (burner.name, 2 * radius) if burner else ("whole box of the grids", float(min((high - low)[:2])))
+    part, wide = (burner.name, 2 * radius) if burner else ("whole box of the grids", float(min((high - low)[:2])))
     axis = np.linspace(foot, [foot[0], foot[1], (foot[2] + high[2]) / 2], 9)
     sizes, burning, blind = {}, [], []
     for name, place, sees in zip(spec.cameras.names, positions(spec.cameras), seen(spec.cameras, axis), strict=True):
@@ -129,7 +129,7 @@ def _cameras(spec: SceneSpec) -> Iterator[Finding]:
             burning.append(name)
             continue
         if ((place > low) & (place < high)).all():
-            yield Finding(f"cameras: {name} at {point_text(place)} is in the domain, {box_text(box)}", False)
+            yield Implausibility(f"cameras: {name} at {point_text(place)} is in the domain, {box_text(box)}", False)
         if not sees.any():
             blind.append(name)
             continue
@@ -137,48 +137,52 @@ def _cameras(spec: SceneSpec) -> Iterator[Finding]:
     if burning:
         away = _length(COLUMN * radius)
         text = f"cameras: {', '.join(burning)} in the fire at {point_text(foot)}; go more than {away} from its axis"
-        yield Finding(f"{text} (cameras.radius)", True)
+        yield Implausibility(f"{text} (cameras.radius)", True)
     if blind:
         text = f"cameras: the fire at {point_text(foot)} is not in the picture of {', '.join(blind)}"
-        yield Finding(f"{text}; change cameras.look_at or cameras.focal_mm, or turn them there", True)
+        yield Implausibility(f"{text}; change cameras.look_at or cameras.focal_mm, or turn them there", True)
     name = min(sizes, key=sizes.get, default="")
     if name and 0 < sizes[name] < PIXELS_ACROSS:
         more = spec.cameras.focal_mm * PIXELS_ACROSS / sizes[name]
-        text = f"cameras: in {name} the {thing} is {sizes[name]:.1f} pixels across"
-        yield Finding(f"{text}; cameras.focal_mm {more:.0f} makes it {PIXELS_ACROSS}, or go nearer", False)
+        text = f"cameras: in {name} the {part} is {sizes[name]:.1f} pixels across"
+        yield Implausibility(f"{text}; cameras.focal_mm {more:.0f} makes it {PIXELS_ACROSS}, or go nearer", False)
 
 
-def _room(spec: SceneSpec) -> Iterator[Finding]:
+def _room(spec: SceneSpec) -> Iterator[Implausibility]:
     """Fire and cameras in built-in surroundings; the studio is built as large as they need."""
     room, box = FREE_SPACE.get(spec.background), spec.box
     if room is None:
         return
     if box.min[2] < -1e-6:
-        yield Finding(f"domain.min: reaches {_length(-box.min[2])} below the floor, which is at z = 0", True)
+        yield Implausibility(f"domain.min: reaches {_length(-box.min[2])} below the floor, which is at z = 0", True)
     places = dict(zip(spec.cameras.names, positions(spec.cameras), strict=True))
     for name in (name for name, place in places.items() if place[2] <= 0):
-        yield Finding(f"cameras: {name} at {point_text(places[name])} is below the floor, which is at z = 0", True)
+        yield Implausibility(
+            f"cameras: {name} at {point_text(places[name])} is below the floor, which is at z = 0", True
+        )
     if spec.background == "studio":
         return
     large = 'choose the background "studio", which grows with the fire, or a .blend of yours'
     if box.max[1] > room.high[1]:
-        yield Finding(
+        yield Implausibility(
             f"domain: reaches y = {box.max[1]:.3g}, and the {room.wall} of the {spec.background} stand at y = "
             f"{room.high[1]:g}: they would be in the fire; make the domain end there, or {large}",
             True,
         )
     for axis in (0, 1):
         if box.min[axis] < room.low[axis] or (axis == 0 and box.max[0] > room.high[0]):
-            yield Finding(f"domain: {box_text(box)} is larger than the {spec.background}; {large}", True)
+            yield Implausibility(f"domain: {box_text(box)} is larger than the {spec.background}; {large}", True)
     for name in spec.cameras.whole_clip:  # those all around see through what is nearer than the fire
         place = places[name]
         if place[1] > room.high[1]:
             text = (
                 f"cameras: {name} at {point_text(place)} stands behind the {room.wall} of the {spec.background}, which "
             )
-            yield Finding(text + f"stand at y = {room.high[1]:g}; go nearer, or {large}", True)
+            yield Implausibility(text + f"stand at y = {room.high[1]:g}; go nearer, or {large}", True)
         elif (place[:2] < room.low[:2]).any() or place[0] > room.high[0]:
-            yield Finding(f"cameras: {name} at {point_text(place)} is off the floor and sees its edge; {large}", False)
+            yield Implausibility(
+                f"cameras: {name} at {point_text(place)} is off the floor and sees its edge; {large}", False
+            )
 
 
 def _length(metres: float) -> str:

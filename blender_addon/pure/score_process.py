@@ -11,8 +11,8 @@ from pathlib import Path
 
 from ..core.errors import GofError
 from ..core.time_left import TimeLeft, duration
-from .child import JobError, Said, code
-from .dve import Scores
+from .child import JobError, WorkerMessages, code
+from .dve import MotionScores
 
 INSTALL = (
     "install it there: in the folder of the Gaussians on Fire source run `make setup`, and choose its .venv/bin/python "
@@ -40,7 +40,7 @@ class Evaluation:
 
     def __init__(self, by: str, command: list[str], folder: Path):
         """``command`` writes folder/scores.json. Raises EvaluationError: it cannot be started."""
-        self.by, self.scores = by, Scores()
+        self.by, self.scores = by, MotionScores()
         self._folder, self._program = folder, command[0]
         self._log = folder / "log.txt"
         self._started = time.monotonic()
@@ -56,7 +56,7 @@ class Evaluation:
                 f"{command[0]}: cannot be run ({error.strerror}); choose the Python that gof is installed in, or "
                 f"{INSTALL}"
             ) from None
-        self._said = Said(self._process.stdout)
+        self._messages = WorkerMessages(self._process.stdout)
 
     @classmethod
     def by_gof(cls, python: Path, result: Path, dataset: Path, time_unit_s: float = 0.0) -> Evaluation:
@@ -83,26 +83,26 @@ class Evaluation:
 
     def __str__(self) -> str:
         seconds = time.monotonic() - self._started
-        self._said.read()
-        if not self._said.done:
+        self._messages.read()
+        if not self._messages.done:
             return f"{self.by}, {seconds:.0f} s"
-        if self._said.done != self._heard:
-            self._heard = self._said.done
-            self._pace.reach("frames", self._said.share)
+        if self._messages.done != self._heard:
+            self._heard = self._messages.done
+            self._pace.reach("frames", self._messages.share)
         left = self._pace.seconds
-        said = "" if left is None else f", {duration(left)} left"
-        return f"frame {self._said.done} of {self._said.total}{said}"
+        remaining = "" if left is None else f", {duration(left)} left"
+        return f"frame {self._messages.done} of {self._messages.total}{remaining}"
 
     def poll(self) -> bool:
         """Return whether it still runs. Raises: EvaluationError when it failed."""
         status = self._process.poll()
         if status is None:
             return True
-        self._said.read_rest()
+        self._messages.read_rest()
         try:
             if status:
                 raise EvaluationError(self._reason())
-            self.scores = Scores.read(self._folder / "scores.json")
+            self.scores = MotionScores.read(self._folder / "scores.json")
         except GofError as error:
             raise EvaluationError(str(error)) from None
         finally:
@@ -118,7 +118,7 @@ class Evaluation:
         """End it; nothing is kept."""
         self._process.kill()
         self._process.wait()
-        self._said.read_rest()
+        self._messages.read_rest()
         self._leave()
 
     def _leave(self) -> None:
@@ -131,9 +131,9 @@ class Evaluation:
         if "No module named gof" in text:
             return f"{self._program}: this Python has no gof; {INSTALL}"
         lines = text.splitlines()
-        said = (
+        shown = (
             [line for line in lines if line.startswith(("gof evaluate:", "gof convert:", "score:"))]
             or lines[-3:]
             or ["no message"]
         )
-        return "\n".join(said)
+        return "\n".join(shown)

@@ -19,11 +19,11 @@ from ..core.description import held_out
 from ..core.errors import GofError
 from ..core.files import is_name, path_in, read_json, without_place, write_json
 from . import effects as effect_modules
+from .fire_scaling import Constants, scaled, unscaled
 from .fires import Domain, Fire, GridFire
 from .fuels import FUELS, Fuel
 from .presets import FORMER, NEW_NAMES, PRESETS
 from .rig import AROUND, Rig
-from .similarity import Constants, scaled, unscaled
 from .timeline import Timeline
 from .timing import Clip
 

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from . import effects
-from .timing import Clip, Picture, Timing, step_weights
+from .timing import Clip, ExposureTiming, Picture, step_weights
 
 
 @dataclass(frozen=True)
@@ -83,10 +83,10 @@ class Timeline:
         """Return a picture's description for the effects in a camera; frame -1 is the plate."""
         return Picture(camera, frame, self.clip.fps, self.lines, self.seed)
 
-    def timing(self, camera: int, frame: int) -> Timing:
+    def timing(self, camera: int, frame: int) -> ExposureTiming:
         """Return when the lines of a picture integrate: the sum of what its effects contribute."""
         picture = self.picture(camera, frame)
-        return sum((effects.timing(settings, picture) for settings in self.effects), Timing())
+        return sum((effects.timing(settings, picture) for settings in self.effects), ExposureTiming())
 
     def weights(self, camera: int, frame: int) -> tuple[int, np.ndarray]:
         """Return the solver steps that a picture is made of.

@@ -16,7 +16,7 @@ INSTANT = 1e-6  # steps; shorter exposures are taken for their first moment
 
 
 @dataclass(frozen=True)
-class Timing:
+class ExposureTiming:
     """Seconds on the dataset clock, relative to a frame's nominal time."""
 
     delay: float = 0.0
@@ -26,8 +26,8 @@ class Timing:
     line: float = 0.0
     """From the start of one line to that of the next."""
 
-    def __add__(self, other: Timing) -> Timing:
-        return Timing(self.delay + other.delay, self.open + other.open, self.line + other.line)
+    def __add__(self, other: ExposureTiming) -> ExposureTiming:
+        return ExposureTiming(self.delay + other.delay, self.open + other.open, self.line + other.line)
 
 
 @dataclass(frozen=True)

@@ -17,9 +17,9 @@ REMEDY = (
 def missing(scene: bpy.types.Scene) -> list[str]:
     """Return a line for each fire of a scene that cannot be seen, with what to do."""
     return [
-        f"{thing.name}: its flame is not to be seen, for {path} is not there; {REMEDY}"
-        for thing in scene.objects
-        for path in _needs(thing)
+        f"{object_.name}: its flame is not to be seen, for {path} is not there; {REMEDY}"
+        for object_ in scene.objects
+        for path in _needs(object_)
         if not path.exists()
     ]
 
@@ -35,14 +35,14 @@ def unwatch() -> None:
         bpy.app.handlers.load_post.remove(_on_load)
 
 
-def _needs(thing: bpy.types.Object) -> list[Path]:
+def _needs(object_: bpy.types.Object) -> list[Path]:
     """Return the files that an object's flame is read from, where a dataset was made of it."""
-    if thing.type == "VOLUME":
-        files = [thing.data.filepath]
+    if object_.type == "VOLUME":
+        files = [object_.data.filepath]
     else:
-        fluids = [item for item in thing.modifiers if item.type == "FLUID" and item.fluid_type == "DOMAIN"]
+        fluids = [item for item in object_.modifiers if item.type == "FLUID" and item.fluid_type == "DOMAIN"]
         files = [item.domain_settings.cache_directory for item in fluids if item.domain_settings.has_cache_baked_data]
-    return [Path(bpy.path.abspath(file, library=thing.library)) for file in files if file.startswith(KEPT)]
+    return [Path(bpy.path.abspath(file, library=object_.library)) for file in files if file.startswith(KEPT)]
 
 
 @persistent

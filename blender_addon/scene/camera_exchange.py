@@ -25,7 +25,7 @@ SAME = 1e-4  # relative; lenses that differ by less are the same
 
 def chosen(scene: bpy.types.Scene) -> list[bpy.types.Object]:
     """Return the rig's cameras; without a rig all of the scene's."""
-    return place.cameras(scene) or [thing for thing in scene.objects if thing.type == "CAMERA"]
+    return place.cameras(scene) or [object_ for object_ in scene.objects if object_.type == "CAMERA"]
 
 
 def describe(camera: bpy.types.Object, scene: bpy.types.Scene, to_file: Matrix) -> CameraEntry:

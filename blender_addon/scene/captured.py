@@ -103,7 +103,7 @@ def set_picture(entry: CameraEntry, render: bpy.types.RenderSettings) -> None:
 def look_through(entry: CameraEntry) -> None:
     """Make a camera the scene's: its picture size, and its plate as what is behind everything in renders."""
     current = bpy.context.scene
-    current.camera = next(thing for thing in current.objects if thing.get(NAME) == entry.name)
+    current.camera = next(object_ for object_ in current.objects if object_.get(NAME) == entry.name)
     set_picture(entry, current.render)
     current.world = bpy.data.worlds.new("Plate")
     behind = current.camera.data.background_images
@@ -154,8 +154,8 @@ AHEAD = Vector((0.0, 0.0, -1.0))  # a camera's and a view's own axis
 
 def cameras(scene: bpy.types.Scene) -> list[bpy.types.Object]:
     """Return the cameras of the scene's rig, or of its capture, that a method may learn from."""
-    named = [(place.part_of(thing) or thing.get(NAME), thing) for thing in scene.objects]
-    return [thing for name, thing in named if thing.type == "CAMERA" and name and not name.startswith(HELD_OUT)]
+    named = [(place.part_of(object_) or object_.get(NAME), object_) for object_ in scene.objects]
+    return [object_ for name, object_ in named if object_.type == "CAMERA" and name and not name.startswith(HELD_OUT)]
 
 
 def guess(scene: bpy.types.Scene, forward: Vector) -> str | None:

@@ -30,10 +30,10 @@ class Span:
         return self.last - self.first + 1
 
 
-def keep(thing: bpy.types.Object, cloud: GaussianCloud) -> None:
+def keep(object_: bpy.types.Object, cloud: GaussianCloud) -> None:
     """Note on the cloud's object when it was filmed; nothing for a still."""
     if clip_s := _seconds(cloud):
-        thing[CLIP] = clip_s
+        object_[CLIP] = clip_s
 
 
 def is_new(scene: bpy.types.Scene) -> bool:
@@ -41,43 +41,43 @@ def is_new(scene: bpy.types.Scene) -> bool:
     return (scene.frame_start, scene.frame_end, scene.render.fps, scene.render.fps_base) == NEW
 
 
-def line(scene: bpy.types.Scene, thing: bpy.types.Object) -> str:
+def line(scene: bpy.types.Scene, object_: bpy.types.Object) -> str:
     """Return when a cloud is visible: its length and its frames in this scene; "" for a still."""
-    if CLIP not in thing:
+    if CLIP not in object_:
         return ""
-    frames = span(scene, thing)
+    frames = span(scene, object_)
     rate = scene.render.fps / scene.render.fps_base
     where = f"frames {frames.first} to {frames.last} at {rate:g} fps" if frames else "none of this scene's frames"
-    return f"Clip: {thing[CLIP][1] - thing[CLIP][0]:.3g} s, {where}"
+    return f"Clip: {object_[CLIP][1] - object_[CLIP][0]:.3g} s, {where}"
 
 
-def fit(scene: bpy.types.Scene, thing: bpy.types.Object) -> None:
+def fit(scene: bpy.types.Scene, object_: bpy.types.Object) -> None:
     """Give the scene the frame range of a cloud's clip, and a rate at which it can be watched; a still changes none.
 
     A clip that lies before frame 0, or where Blender does not count, is moved to frame 1 by the cloud's Start Frame.
     """
-    if CLIP not in thing:
+    if CLIP not in object_:
         return
-    settings, render = point_cloud.inputs(thing), scene.render
+    settings, render = point_cloud.inputs(object_), scene.render
     speed = settings["Time Scale"] or 1.0
     before = render.fps / render.fps_base
-    rate = _watchable_rate(thing[CLIP], before, speed)
+    rate = _watchable_rate(object_[CLIP], before, speed)
     if rate != before:
         render.fps, render.fps_base = round(rate), 1.0
-    frames = span(scene, thing)
+    frames = span(scene, object_)
     if frames is None or frames.first < 0:
-        begin_s = thing[CLIP][0] if speed > 0 else thing[CLIP][1]
+        begin_s = object_[CLIP][0] if speed > 0 else object_[CLIP][1]
         settings["Start Frame"] = 1.0 - begin_s * rate / speed
-        frames = span(scene, thing)
+        frames = span(scene, object_)
     if frames:
         scene.frame_start, scene.frame_end = frames.first, frames.last
         scene.frame_set(min(max(scene.frame_current, frames.first), frames.last))
 
 
-def span(scene: bpy.types.Scene, thing: bpy.types.Object) -> Span | None:
-    settings = point_cloud.inputs(thing)
+def span(scene: bpy.types.Scene, object_: bpy.types.Object) -> Span | None:
+    settings = point_cloud.inputs(object_)
     rate = scene.render.fps / scene.render.fps_base
-    return _frames(thing[CLIP], settings["Start Frame"], rate, settings["Time Scale"])
+    return _frames(object_[CLIP], settings["Start Frame"], rate, settings["Time Scale"])
 
 
 def _seconds(cloud: GaussianCloud) -> tuple[float, float] | None:

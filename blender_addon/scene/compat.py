@@ -20,10 +20,10 @@ def has_function(kind: str, name: str) -> bool:
     return rna is not None and name in rna.functions
 
 
-def curves(thing: bpy.types.Object) -> list[bpy.types.FCurve]:
+def curves(object_: bpy.types.Object) -> list[bpy.types.FCurve]:
     """Return the curves of what is keyed or driven on an object itself, strips of the NLA among it; none where nothing
     is."""
-    data = thing.animation_data
+    data = object_.animation_data
     if data is None:
         return []
     strips = [strip.action for track in data.nla_tracks if not track.mute for strip in track.strips if not strip.mute]

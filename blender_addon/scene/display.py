@@ -78,7 +78,7 @@ def emission(cloud: GaussianCloud, curve: ToneCurve) -> np.ndarray:
 
 
 @dataclass(frozen=True)
-class Picture:
+class PixelPoints:
     """M points that stand for Gaussians in the P pixels of one view at one time."""
 
     rows: np.ndarray  # (M,) of which Gaussian
@@ -115,7 +115,7 @@ class Picture:
         return np.column_stack(sums) / total[:, None]
 
 
-def pictures(cloud: GaussianCloud) -> Iterator[Picture]:
+def pictures(cloud: GaussianCloud) -> Iterator[PixelPoints]:
     """Yield the cloud at times two standard deviations of its lifetimes apart, in horizontal views all around; every
     time the same."""
     random = np.random.default_rng(0)
@@ -138,7 +138,7 @@ def pictures(cloud: GaussianCloud) -> Iterator[Picture]:
         for angle in np.pi * np.arange(DIRECTIONS) / DIRECTIONS:
             across = place[:, 0] * np.cos(angle) + place[:, 1] * np.sin(angle)
             owner = _pixel_numbers(across, place[:, 2])
-            yield Picture(rows, owner, depth, place_m, float(time), pixel**2)
+            yield PixelPoints(rows, owner, depth, place_m, float(time), pixel**2)
 
 
 def _slices(cloud: GaussianCloud, first: np.ndarray, last: np.ndarray) -> tuple[np.ndarray, float]:

@@ -28,12 +28,12 @@ class CentreError:
     compared: int
 
 
-def add_truth(thing: bpy.types.Object, truth: VelocitySequence) -> CentreError:
+def add_truth(object_: bpy.types.Object, truth: VelocitySequence) -> CentreError:
     """Store the true velocity as gs_true_velocity; a Gaussian that rests or lies outside the domain gets its own.
 
     The cloud's own coordinates are the dataset's world, so it may have been moved since.
     """
-    mesh = thing.data
+    mesh = object_.data
     velocity, t_mu = point_cloud.column(mesh, "gs_gas_velocity", 3), point_cloud.column(mesh, "gs_t_mu", 1)[:, 0]
     true, inside = truth.sample(positions(mesh), t_mu)
     # Gas that was found to rest where its light moves is compared, too: that is an error like any other.
@@ -63,17 +63,17 @@ def seen_by(view: bpy.types.Object) -> bpy.types.Object | None:
     return bpy.data.objects.get(of) if isinstance(of, str) else of  # older versions of the add-on kept its name
 
 
-def show(thing: bpy.types.Object) -> list[bpy.types.Object]:
+def show(object_: bpy.types.Object) -> list[bpy.types.Object]:
     """Return three views beside the cloud, of the same points: coloured by error; true velocity and error as arrows.
 
     Arrows have one length per m/s and colours one range in all of them. Views of an earlier call are replaced.
     """
-    for other in [other for other in bpy.data.objects if VIEW_OF in other and seen_by(other) == thing]:
+    for other in [other for other in bpy.data.objects if VIEW_OF in other and seen_by(other) == object_]:
         bpy.data.objects.remove(other)
-    settings = point_cloud.inputs(thing)
-    across = np.percentile(positions(thing.data)[:, 0], [1, 99])  # without the runaways
+    settings = point_cloud.inputs(object_)
+    across = np.percentile(positions(object_.data)[:, 0], [1, 99])  # without the runaways
     width = 1.5 * float(across[1] - across[0])
-    fastest = point_cloud.value_range(thing.data, "speed")[1]
+    fastest = point_cloud.value_range(object_.data, "speed")[1]
     views = []
     for number, (name, mode, color, vectors) in enumerate(
         (
@@ -83,10 +83,10 @@ def show(thing: bpy.types.Object) -> list[bpy.types.Object]:
         ),
         1,
     ):
-        view = point_cloud.add_view(thing.data, f"{thing.name} {name}")
-        view[VIEW_OF] = thing
-        view.matrix_world = thing.matrix_world
-        view.location = thing.matrix_world @ Vector((number * width, 0, 0))
+        view = point_cloud.add_view(object_.data, f"{object_.name} {name}")
+        view[VIEW_OF] = object_
+        view.matrix_world = object_.matrix_world
+        view.location = object_.matrix_world @ Vector((number * width, 0, 0))
         inputs = point_cloud.inputs(view)
         for key in ("Start Frame", "Time Scale", "Opacity Cut", "Line Time"):
             inputs[key] = settings[key]
@@ -95,6 +95,6 @@ def show(thing: bpy.types.Object) -> list[bpy.types.Object]:
         inputs["Color By"] = gaussian_nodes.COLORS.index(color)
         inputs["Color Min"], inputs["Color Max"] = 0.0, fastest
         if mode == "arrows":
-            inputs["Share"] = min(1.0, ARROWS / len(thing.data.vertices))
+            inputs["Share"] = min(1.0, ARROWS / len(object_.data.vertices))
         views.append(view)
     return views

@@ -16,7 +16,7 @@ from .nodes import Nodes
 ALEMBIC, USD = (".abc",), (".usd", ".usdc", ".usda")
 
 
-def write(things: list[bpy.types.Object], path: Path, first: int, last: int) -> None:
+def write(objects: list[bpy.types.Object], path: Path, first: int, last: int) -> None:
     """Write objects and nothing else, atomically; of a single frame it must be the scene's current one.
 
     Every frame is evaluated, and so is what else is in the scene: a fire burns up to there.
@@ -27,7 +27,7 @@ def write(things: list[bpy.types.Object], path: Path, first: int, last: int) -> 
         DataFormatError: this Blender was built without the format, as Debian's is.
     """
     _require(path)
-    with _only_selected(things), atomic_path(path) as draft:
+    with _only_selected(objects), atomic_path(path) as draft:
         if path.suffix.lower() in ALEMBIC:
             bpy.ops.wm.alembic_export(
                 filepath=str(draft),
@@ -66,12 +66,12 @@ def read(path: Path) -> Iterator[list[bpy.types.Object]]:
         else:
             bpy.ops.wm.usd_import(filepath=str(path), set_frame_range=False)
         bpy.context.view_layer.update()
-        yield sorted(set(bpy.data.objects) - before, key=lambda thing: thing.name)
+        yield sorted(set(bpy.data.objects) - before, key=lambda object_: object_.name)
     except RuntimeError as error:
         raise DataFormatError(f"{path}: {error}") from None
     finally:
-        for thing in set(bpy.data.objects) - before:
-            bpy.data.objects.remove(thing)
+        for object_ in set(bpy.data.objects) - before:
+            bpy.data.objects.remove(object_)
 
 
 def _require(path: Path) -> None:
@@ -81,17 +81,17 @@ def _require(path: Path) -> None:
 
 
 @contextmanager
-def _only_selected(things: list[bpy.types.Object]) -> Iterator[None]:
+def _only_selected(objects: list[bpy.types.Object]) -> Iterator[None]:
     """Select some objects and no others; afterwards the selection is as before."""
     layer = bpy.context.view_layer
-    before, active = [thing for thing in layer.objects if thing.select_get()], layer.objects.active
+    before, active = [object_ for object_ in layer.objects if object_.select_get()], layer.objects.active
     try:
-        for thing in layer.objects:
-            thing.select_set(thing in things)
+        for object_ in layer.objects:
+            object_.select_set(object_ in objects)
         yield
     finally:
-        for thing in layer.objects:
-            thing.select_set(thing in before)
+        for object_ in layer.objects:
+            object_.select_set(object_ in before)
         layer.objects.active = active
 
 
@@ -99,18 +99,18 @@ def _only_selected(things: list[bpy.types.Object]) -> Iterator[None]:
 # A point cloud as Alembic points.
 
 
-def write_points(path: Path, thing: bpy.types.Object, first: int, last: int) -> None:
+def write_points(path: Path, object_: bpy.types.Object, first: int, last: int) -> None:
     """Write what is seen of a cloud from a frame to another, all of it whatever its Share is.
 
     Raises DataFormatError: this Blender was built without Alembic.
     """
-    with _as_points(thing), _vertices_of(thing) as copy:
+    with _as_points(object_), _vertices_of(object_) as copy:
         write([copy], path, first, last)
 
 
 @contextmanager
-def _as_points(thing: bpy.types.Object) -> Iterator[None]:
-    settings = point_cloud.inputs(thing)
+def _as_points(object_: bpy.types.Object) -> Iterator[None]:
+    settings = point_cloud.inputs(object_)
     before = {name: settings[name] for name in ("Mode", "Share")}
     try:
         settings["Mode"], settings["Share"] = gaussian_nodes.MODES.index("points"), 1.0
@@ -121,20 +121,20 @@ def _as_points(thing: bpy.types.Object) -> Iterator[None]:
 
 
 @contextmanager
-def _vertices_of(thing: bpy.types.Object) -> Iterator[bpy.types.Object]:
+def _vertices_of(object_: bpy.types.Object) -> Iterator[bpy.types.Object]:
     """Provide a mesh object with a vertex where the cloud shows a point."""
     tree = bpy.data.node_groups.new("Points of a cloud", "GeometryNodeTree")
     compat.add_socket(tree, "Geometry", "NodeSocketGeometry")
     compat.add_socket(tree, "Geometry", "NodeSocketGeometry", output=True)
     nodes = Nodes(tree)
-    points = nodes.add("GeometryNodeObjectInfo", {"Object": thing}).outputs["Geometry"]
+    points = nodes.add("GeometryNodeObjectInfo", {"Object": object_}).outputs["Geometry"]
     vertices = nodes.add("GeometryNodePointsToVertices", {"Points": points}).outputs[0]
     nodes.add("NodeGroupOutput", {"Geometry": vertices})
     mesh = bpy.data.meshes.new("points")
     copy = bpy.data.objects.new("reconstruction", mesh)
     try:
         bpy.context.scene.collection.objects.link(copy)
-        copy.matrix_world = thing.matrix_world
+        copy.matrix_world = object_.matrix_world
         copy.modifiers.new("points", "NODES").node_group = tree
         yield copy
     finally:

@@ -23,7 +23,7 @@ POWER = 4 * np.pi  # of a lamp that sends 1 W/sr
 
 
 def add(
-    thing: bpy.types.Object, path: Callable[[str], str], cloud: GaussianCloud, light: np.ndarray
+    object_: bpy.types.Object, path: Callable[[str], str], cloud: GaussianCloud, light: np.ndarray
 ) -> list[bpy.types.Object]:
     """Add lamps below a cloud's object, in its scene; none where it is dark.
 
@@ -32,7 +32,7 @@ def add(
         light: (N, 3) of `display.emission`.
     """
     fades = bool(cloud.dynamic.all())
-    return [_lamp(thing, path, number, *found, fades) for number, found in enumerate(groups(cloud, light), 1)]
+    return [_lamp(object_, path, number, *found, fades) for number, found in enumerate(groups(cloud, light), 1)]
 
 
 def groups(cloud: GaussianCloud, light: np.ndarray) -> list[tuple[np.ndarray, float, np.ndarray, np.ndarray]]:
@@ -68,7 +68,7 @@ def groups(cloud: GaussianCloud, light: np.ndarray) -> list[tuple[np.ndarray, fl
 
 
 def _lamp(
-    thing: bpy.types.Object,
+    object_: bpy.types.Object,
     path: Callable[[str], str],
     number: int,
     place: np.ndarray,
@@ -78,9 +78,9 @@ def _lamp(
     fades: bool,
 ) -> bpy.types.Object:
     """Return a lamp; `fades`: it is dark a step before and after its times."""
-    data = bpy.data.lights.new(f"{thing.name} Lamp {number}", "POINT")
+    data = bpy.data.lights.new(f"{object_.name} Lamp {number}", "POINT")
     lamp = bpy.data.objects.new(data.name, data)
-    lamp.parent, lamp.location = thing, place
+    lamp.parent, lamp.location = object_, place
     data.shadow_soft_size = radius
     data.use_custom_distance, data.cutoff_distance = True, FAR  # else EEVEE lets a small flame light half a metre
     color = light.sum(0) / light.sum(0).max()
@@ -91,9 +91,9 @@ def _lamp(
     driver = data.driver_add("energy").driver
     _variable(driver, "intensity", lamp, f'["{INTENSITY}"]')
     for name, setting in (("emission", "Emission"), ("factor", "Light on Scene"), ("map", "Color By")):
-        _variable(driver, name, thing, path(setting))
-    _variable(driver, "size", thing, "scale.x")
-    _variable(driver, "hidden", thing, "hide_render")
+        _variable(driver, name, object_, path(setting))
+    _variable(driver, "size", object_, "scale.x")
+    _variable(driver, "hidden", object_, "hide_render")
     driver.expression = f"{POWER} * intensity * size * size * emission * factor * (1 - min(map, 1)) * (1 - hidden)"
     return lamp
 

@@ -29,11 +29,11 @@ def add(
     mesh.update()
     if material is not None:
         mesh.materials.append(material)
-    thing = bpy.data.objects.new(name, mesh)
-    thing.location = location
-    thing.rotation_euler = (0.0, 0.0, math.radians(turn_deg))
-    collection.objects.link(thing)
-    return thing
+    object_ = bpy.data.objects.new(name, mesh)
+    object_.location = location
+    object_.rotation_euler = (0.0, 0.0, math.radians(turn_deg))
+    collection.objects.link(object_)
+    return object_
 
 
 def box(

@@ -22,21 +22,23 @@ PART = "gof_part"
 PLACE, DOMAIN, EMITTER = "place", "domain", "emitter"
 
 
-def part_of(thing: bpy.types.Object) -> str | None:
+def part_of(object_: bpy.types.Object) -> str | None:
     """Return which part of a fire an object is: "place", "domain", "emitter", a camera's name ("cam_0"), "effect" or
     None."""
-    return thing.get(PART)
+    return object_.get(PART)
 
 
 def find(scene: bpy.types.Scene, part: str) -> bpy.types.Object | None:
     """Return a part of the scene's fire, or None."""
-    return next((thing for thing in scene.objects if part_of(thing) == part), None)
+    return next((object_ for object_ in scene.objects if part_of(object_) == part), None)
 
 
 def cameras(scene: bpy.types.Scene) -> list[bpy.types.Object]:
     """Return cameras of the rig: cam_0, cam_1, ..., then those for evaluation."""
-    found = [thing for thing in scene.objects if thing.type == "CAMERA" and part_of(thing)]
-    return sorted(found, key=lambda thing: (part_of(thing).startswith("eval"), len(part_of(thing)), part_of(thing)))
+    found = [object_ for object_ in scene.objects if object_.type == "CAMERA" and part_of(object_)]
+    return sorted(
+        found, key=lambda object_: (part_of(object_).startswith("eval"), len(part_of(object_)), part_of(object_))
+    )
 
 
 def mark(scene: bpy.types.Scene, location: Vector) -> bpy.types.Object:
@@ -52,9 +54,9 @@ def mark(scene: bpy.types.Scene, location: Vector) -> bpy.types.Object:
     return place
 
 
-def on_top_of(thing: bpy.types.Object) -> Vector:
+def on_top_of(object_: bpy.types.Object) -> Vector:
     """Centre of the top of an object's bounding box, in the scene's units."""
-    corners = [thing.matrix_world @ Vector(corner) for corner in thing.bound_box]
+    corners = [object_.matrix_world @ Vector(corner) for corner in object_.bound_box]
     low, high = (Vector(map(choose, zip(*corners, strict=True))) for choose in (min, max))
     return Vector(((low.x + high.x) / 2, (low.y + high.y) / 2, high.z))
 
@@ -79,9 +81,9 @@ def add_fire(spec: SceneSpec, scene: bpy.types.Scene, place: bpy.types.Object) -
     objects = fire.build(here, parts)
     bpy.context.view_layer.objects.active = active
     objects.domain_settings.cache_type = "REPLAY"
-    for thing in set(parts.objects) - others:
-        thing[PART] = {objects.domain: DOMAIN, objects.emitter: EMITTER}.get(thing, "effect")
-        thing.parent = place
+    for object_ in set(parts.objects) - others:
+        object_[PART] = {objects.domain: DOMAIN, objects.emitter: EMITTER}.get(object_, "effect")
+        object_.parent = place
     return objects
 
 
@@ -100,8 +102,8 @@ def add_cameras(spec: SceneSpec, scene: bpy.types.Scene, place: bpy.types.Object
 
 def remove(scene: bpy.types.Scene, which) -> None:
     """Remove the parts of the scene's fire whose name ``which`` accepts."""
-    for thing in [thing for thing in scene.objects if part_of(thing) and which(part_of(thing))]:
-        bpy.data.objects.remove(thing)
+    for object_ in [object_ for object_ in scene.objects if part_of(object_) and which(part_of(object_))]:
+        bpy.data.objects.remove(object_)
 
 
 def to_our_world(marker: Matrix, scale: float) -> Matrix:

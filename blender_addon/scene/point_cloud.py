@@ -26,8 +26,8 @@ class CloudError(RuntimeError):
 class CloudInputs:
     """The settings of a cloud by the names in `gaussian_nodes.INPUTS`, read and written at its modifier."""
 
-    def __init__(self, thing: bpy.types.Object, modifier: bpy.types.Modifier):
-        self.thing, self.modifier = thing, modifier
+    def __init__(self, object_: bpy.types.Object, modifier: bpy.types.Modifier):
+        self.object_, self.modifier = object_, modifier
         self._sockets = compat.input_sockets(modifier.node_group)
 
     def __getitem__(self, name: str) -> float | int:
@@ -42,7 +42,7 @@ class CloudInputs:
             owner[self._sockets[name].identifier] = value
         else:
             setattr(owner, path, value)
-        self.thing.update_tag()
+        self.object_.update_tag()
 
     def place(self, name: str) -> tuple[bpy.types.bpy_struct, str]:
         """Owner and property, for layouts."""
@@ -57,11 +57,11 @@ class CloudInputs:
         return compat.modifier_path(self.modifier, self._sockets[name].identifier)
 
 
-def inputs(thing: bpy.types.Object | None) -> CloudInputs | None:
+def inputs(object_: bpy.types.Object | None) -> CloudInputs | None:
     """Return the settings of an object that is a cloud; None for any other."""
-    for modifier in thing.modifiers if thing else ():
+    for modifier in object_.modifiers if object_ else ():
         if modifier.type == "NODES" and modifier.node_group and "gof_layout" in modifier.node_group:
-            return CloudInputs(thing, modifier)
+            return CloudInputs(object_, modifier)
     return None
 
 
@@ -82,58 +82,58 @@ def add_point_cloud(
     """
     if mode not in gaussian_nodes.MODES:
         raise ValueError(f"mode {mode!r}: choose one of {', '.join(gaussian_nodes.MODES)}")
-    thing = add_view(_mesh(cloud, name), name)
-    thing.scale = (1 / bpy.context.scene.unit_settings.scale_length,) * 3  # its own coordinates are metres
-    settings = inputs(thing)
+    object_ = add_view(_mesh(cloud, name), name)
+    object_.scale = (1 / bpy.context.scene.unit_settings.scale_length,) * 3  # its own coordinates are metres
+    settings = inputs(object_)
     settings["Mode"], settings["Start Frame"] = gaussian_nodes.MODES.index(mode), start_frame
     settings["Line Time"] = _line_time(cloud)
-    lamps.add(thing, settings.path, cloud, column(thing.data, "gs_light", 3))
-    thing.visible_diffuse = False  # rough surfaces get their light from the lamps
+    lamps.add(object_, settings.path, cloud, column(object_.data, "gs_light", 3))
+    object_.visible_diffuse = False  # rough surfaces get their light from the lamps
     if cloud.datum:
-        thing[DATUM] = cloud.datum.numbers().tolist()
+        object_[DATUM] = cloud.datum.numbers().tolist()
     see_through.allow(bpy.context.scene)
     if cloud.emissive:
         see_through.pass_flame(bpy.context.scene)
-    return thing
+    return object_
 
 
 def add_view(mesh: bpy.types.Mesh, name: str) -> bpy.types.Object:
     """Return a cloud of a mesh that `add_point_cloud` has made, with settings of its own; points are shared, not
     copied."""
     scene = bpy.context.scene
-    thing = bpy.data.objects.new(name, mesh)
-    scene.collection.objects.link(thing)
-    thing.visible_shadow = False  # fire casts no shadow
-    add_modifier(thing, gaussian_nodes.NAME, gaussian_nodes.node_group())
-    return thing
+    object_ = bpy.data.objects.new(name, mesh)
+    scene.collection.objects.link(object_)
+    object_.visible_shadow = False  # fire casts no shadow
+    add_modifier(object_, gaussian_nodes.NAME, gaussian_nodes.node_group())
+    return object_
 
 
-def show_as(thing: bpy.types.Object, mode: str) -> None:
+def show_as(object_: bpy.types.Object, mode: str) -> None:
     """Show a cloud as one of `gaussian_nodes.MODES`. One of a Blender without splats gets today's node group for
     these."""
-    settings, number = inputs(thing), gaussian_nodes.MODES.index(mode)
+    settings, number = inputs(object_), gaussian_nodes.MODES.index(mode)
     if number > settings.largest("Mode"):
         settings.modifier.node_group = gaussian_nodes.node_group()
-        settings = inputs(thing)
+        settings = inputs(object_)
     settings["Mode"] = number
 
 
-def add_modifier(thing: bpy.types.Object, name: str, group: bpy.types.NodeTree) -> CloudInputs:
+def add_modifier(object_: bpy.types.Object, name: str, group: bpy.types.NodeTree) -> CloudInputs:
     """Give an object a node group of the scene's clock; returns its settings, whose Frame Rate follows the scene."""
     scene = bpy.context.scene
-    modifier = thing.modifiers.new(name, "NODES")
+    modifier = object_.modifiers.new(name, "NODES")
     modifier.node_group = group
-    settings = CloudInputs(thing, modifier)
-    driver = thing.driver_add(settings.path("Frame Rate")).driver
+    settings = CloudInputs(object_, modifier)
+    driver = object_.driver_add(settings.path("Frame Rate")).driver
     compat.scene_variable(driver, "fps", "render.fps", scene)
     compat.scene_variable(driver, "base", "render.fps_base", scene)
     driver.expression = "fps / base"  # a simple expression: runs even where Python in files is not allowed
     return settings
 
 
-def stand_on(thing: bpy.types.Object, cloud: GaussianCloud, spot: Vector) -> None:
+def stand_on(object_: bpy.types.Object, cloud: GaussianCloud, spot: Vector) -> None:
     """Move a cloud so that the foot of its flame is at a place of the scene."""
-    thing.location = spot - Vector([side * length for side, length in zip(thing.scale, foot(cloud), strict=True)])
+    object_.location = spot - Vector([side * length for side, length in zip(object_.scale, foot(cloud), strict=True)])
 
 
 def foot(cloud: GaussianCloud) -> np.ndarray:
@@ -145,7 +145,7 @@ def foot(cloud: GaussianCloud) -> np.ndarray:
     return np.array([*np.median(lowest[:, :2], axis=0), low])
 
 
-def cloud_of(thing: bpy.types.Object) -> GaussianCloud | None:
+def cloud_of(object_: bpy.types.Object) -> GaussianCloud | None:
     """Return the Gaussians that an object shows, from its mesh; None for one of an older add-on, which kept no colors.
 
     A Gaussian that rests and is always on counts as static.
@@ -153,13 +153,13 @@ def cloud_of(thing: bpy.types.Object) -> GaussianCloud | None:
     Raises:
         CloudError: some are light and some are not, as where objects were joined: a cloud is one or the other.
     """
-    mesh = thing.data
+    mesh = object_.data
     if DISPLAY not in mesh.attributes:
         return None
     shining = column(mesh, EMISSIVE, 1)[:, 0] if EMISSIVE in mesh.attributes else np.zeros(len(mesh.vertices))
     if shining.any() and not shining.all():
         raise CloudError(
-            f"{thing.name}: {np.count_nonzero(shining):,} of its {len(shining):,} Gaussians are a flame's light and "
+            f"{object_.name}: {np.count_nonzero(shining):,} of its {len(shining):,} Gaussians are a flame's light and "
             "the others cover what is behind them; separate what was joined, and write each"
         )
     position = np.empty(3 * len(mesh.vertices), np.float32)
@@ -184,15 +184,15 @@ def cloud_of(thing: bpy.types.Object) -> GaussianCloud | None:
         color=column(mesh, DISPLAY, 3),
         dynamic=(inverse > 0) | (velocity != 0).any(1) | (gas != 0).any(1) | ("begin" in given),
         gas_velocity=gas,
-        datum=datum_of(thing),
+        datum=datum_of(object_),
         emissive=bool(shining.any()),
         **given,
     )
 
 
-def datum_of(thing: bpy.types.Object) -> Datum:
+def datum_of(object_: bpy.types.Object) -> Datum:
     """Return the datum that an object's places and times count from; zeros where it names none."""
-    return Datum.from_numbers(thing.get(DATUM, (0.0,) * 4), thing.name)
+    return Datum.from_numbers(object_.get(DATUM, (0.0,) * 4), object_.name)
 
 
 def why_not_color(mesh: bpy.types.Mesh, color: str) -> str | None:
@@ -204,14 +204,14 @@ def why_not_color(mesh: bpy.types.Mesh, color: str) -> str | None:
     return None
 
 
-def color_by(thing: bpy.types.Object, color: str) -> None:
+def color_by(object_: bpy.types.Object, color: str) -> None:
     """Colour a cloud by one of `gaussian_nodes.COLORS`, over the range of its values.
 
     Raises CloudError where it has none.
     """
-    if problem := why_not_color(thing.data, color):
-        raise CloudError(f"{thing.name}: {problem}")
-    settings, span = inputs(thing), None if color == "image" else value_range(thing.data, color)
+    if problem := why_not_color(object_.data, color):
+        raise CloudError(f"{object_.name}: {problem}")
+    settings, span = inputs(object_), None if color == "image" else value_range(object_.data, color)
     settings["Color By"] = gaussian_nodes.COLORS.index(color)
     if span:
         settings["Color Min"], settings["Color Max"] = span

@@ -256,9 +256,9 @@ def _leave_only_the_fire() -> None:
     """Leave the fire as the only light, for this process; scene.blend is not saved again."""
     scene = bpy.context.scene
     scene.world = None
-    for thing in scene.objects:
-        if thing.type == "LIGHT":
-            thing.hide_render = True
+    for object_ in scene.objects:
+        if object_.type == "LIGHT":
+            object_.hide_render = True
     fire = find_flame().active_material
     for item in bpy.data.materials:
         if item != fire and item.node_tree:

@@ -19,21 +19,21 @@ END = 2**16  # bytes at either end of a file that are looked at
 _here: dict[str, Path] = {}  # where the files are that this process has imported, by their sums
 
 
-def keep(thing: bpy.types.Object, source: list[Path]) -> None:
+def keep(object_: bpy.types.Object, source: list[Path]) -> None:
     """Note what a cloud was made of: a file, or the numbered files of one folder."""
     path = (source[0] if len(source) == 1 else source[0].parent).resolve()
-    thing[SUM] = _sum(source)
-    _here[thing[SUM]] = path
+    object_[SUM] = _sum(source)
+    _here[object_[SUM]] = path
     home = _home()
-    thing[FILE] = path.relative_to(home).as_posix() if home and path.is_relative_to(home) else path.name
+    object_[FILE] = path.relative_to(home).as_posix() if home and path.is_relative_to(home) else path.name
 
 
-def known(thing: bpy.types.Object) -> bool:
+def known(object_: bpy.types.Object) -> bool:
     """Return whether there is a file where a cloud's was; quick, for panels."""
-    return any(path.exists() for path in _places(thing))
+    return any(path.exists() for path in _places(object_))
 
 
-def find(thing: bpy.types.Object, chosen: str = "") -> Path:
+def find(object_: bpy.types.Object, chosen: str = "") -> Path:
     """Return the file, or the folder, that a cloud was imported from.
 
     Args:
@@ -41,25 +41,25 @@ def find(thing: bpy.types.Object, chosen: str = "") -> Path:
     Raises:
         DataFormatError: it is not there, or another one is.
     """
-    if FILE not in thing:
-        raise DataFormatError(f"{thing.name}: not imported from a file; import the reconstruction again")
-    places = [Path(bpy.path.abspath(chosen)).absolute()] if chosen else _places(thing)
+    if FILE not in object_:
+        raise DataFormatError(f"{object_.name}: not imported from a file; import the reconstruction again")
+    places = [Path(bpy.path.abspath(chosen)).absolute()] if chosen else _places(object_)
     there = [path for path in places if path.exists()]
     if not there:
-        where = places[0] if chosen else f"{Path(thing[FILE]).name}, which {thing.name} was imported from"
+        where = places[0] if chosen else f"{Path(object_[FILE]).name}, which {object_.name} was imported from"
         raise DataFormatError(f"{where}: no such file here; choose it as Result in the panel Score")
     for path in there:
-        if SUM not in thing or _sum(clouds.files_of(path)) == thing[SUM]:
+        if SUM not in object_ or _sum(clouds.files_of(path)) == object_[SUM]:
             return path
     raise DataFormatError(
-        f"{there[0]}: has changed since {thing.name} was imported, or is another file; import it again, or choose the "
-        "right one as Result"
+        f"{there[0]}: has changed since {object_.name} was imported, or is another file; import it again, or choose "
+        "the right one as Result"
     )
 
 
-def _places(thing: bpy.types.Object) -> list[Path]:
-    found = [_here[thing[SUM]]] if thing.get(SUM) in _here else []
-    file = Path(thing.get(FILE, ""))
+def _places(object_: bpy.types.Object) -> list[Path]:
+    found = [_here[object_[SUM]]] if object_.get(SUM) in _here else []
+    file = Path(object_.get(FILE, ""))
     if file.name and (_home() or file.is_absolute()):  # older versions of the add-on kept the whole path
         found.append((_home() or Path()) / file)
     return found

@@ -337,11 +337,11 @@ def _in_this_scene(context, spec: SceneSpec, again: bool) -> list[str]:
     """
     global _seen
     scene, graph = context.scene, context.view_layer.depsgraph
-    things = {thing for thing in scene.objects if not blend_file.stays_out(thing)}
+    objects = {object_ for object_ in scene.objects if not blend_file.stays_out(object_)}
     to_ours = place.to_our_world(place.find(scene, place.PLACE).matrix_world, scene.unit_settings.scale_length)
-    these = bodies.signature(spec, graph, things, to_ours)
+    these = bodies.signature(spec, graph, objects, to_ours)
     if again or these != _seen[0]:
-        _seen = these, bodies.notes(spec, graph, things, to_ours)
+        _seen = these, bodies.notes(spec, graph, objects, to_ours)
     return list(_seen[1])
 
 

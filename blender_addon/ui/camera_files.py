@@ -84,8 +84,8 @@ class GOF_OT_import_cameras(bpy.types.Operator, ImportHelper):
     def _read(path: Path, scene, to_file) -> tuple[CameraEntry, ...]:
         if path.suffix.lower() not in exchange.ALEMBIC + exchange.USD:
             return camera_files.read(path)
-        with exchange.read(path) as things:
-            cameras = [thing for thing in things if thing.type == "CAMERA"]
+        with exchange.read(path) as objects:
+            cameras = [object_ for object_ in objects if object_.type == "CAMERA"]
             if not cameras:
                 raise DataFormatError(f"{path}: holds no cameras")
             return camera_exchange.describe_all(cameras, scene, to_file)

@@ -31,25 +31,25 @@ class Recording:
     least: float  # opacity that is drawn
 
     @classmethod
-    def of(cls, scene: bpy.types.Scene, thing: bpy.types.Object) -> "Recording":
+    def of(cls, scene: bpy.types.Scene, object_: bpy.types.Object) -> "Recording":
         """Read the settings in the .blend, without any other file.
 
         Raises:
             DataFormatError: it holds too little, or time or place may change: such a recording has one of each.
         """
-        settings = point_cloud.inputs(thing)
+        settings = point_cloud.inputs(object_)
         clock = {settings.path(name): name for name in ("Start Frame", "Time Scale", "Opacity Cut")}
-        if moving := sorted({*_keyed(thing, clock), *_moves(thing)}):
+        if moving := sorted({*_keyed(object_, clock), *_moves(object_)}):
             raise DataFormatError(
-                f"{thing.name}: {', '.join(moving)} may change over time: remove what keys, drives or binds it, or "
+                f"{object_.name}: {', '.join(moving)} may change over time: remove what keys, drives or binds it, or "
                 "write .abc"
             )
         rate, cloud = scene.render.fps / scene.render.fps_base, None
-        if thing.type == "MESH":
-            cloud = point_cloud.cloud_of(thing)
+        if object_.type == "MESH":
+            cloud = point_cloud.cloud_of(object_)
         if cloud is None:
             raise DataFormatError(
-                f"{thing.name}: edited since, or imported by an older version of the add-on: its colors are not in "
+                f"{object_.name}: edited since, or imported by an older version of the add-on: its colors are not in "
                 "this .blend; import the reconstruction again"
             )
         return cls(
@@ -96,17 +96,17 @@ class Recording:
         )
 
 
-def _keyed(thing: bpy.types.Object, paths: dict[str, str]) -> list[str]:
+def _keyed(object_: bpy.types.Object, paths: dict[str, str]) -> list[str]:
     """Return which of some properties, by their paths, are keyed or driven on an object."""
-    return [paths[curve.data_path] for curve in compat.curves(thing) if curve.data_path in paths]
+    return [paths[curve.data_path] for curve in compat.curves(object_) if curve.data_path in paths]
 
 
-def _moves(thing: bpy.types.Object) -> Iterator[str]:
+def _moves(object_: bpy.types.Object) -> Iterator[str]:
     """Yield what may move an object: its own place, its constraints, and those of all that it hangs on."""
     place = {f"rotation_{kind}": "rotation" for kind in ("euler", "quaternion", "axis_angle")}
     place |= {name: name for name in ("location", "scale")}
     place |= {f"delta_{path}": name for path, name in place.items()}
-    whose, it = "", thing
+    whose, it = "", object_
     while it is not None:
         yield from (f"{name}{whose}" for name in _keyed(it, place))
         yield from (f"constraint {bond.name}{whose}" for bond in it.constraints if not bond.mute)
@@ -132,11 +132,11 @@ class _CloudExport(ExportHelper):
 
     def execute(self, context):
         try:
-            said = self.write(context, context.object, Path(bpy.path.abspath(self.filepath)))
+            message = self.write(context, context.object, Path(bpy.path.abspath(self.filepath)))
         except (GofError, OSError, RuntimeError, voxels.VoxelError, MemoryError) as error:
             self.report({"ERROR"}, str(error) or "not enough memory; fewer frames, or larger voxels, need less")
             return {"CANCELLED"}
-        self.report({"INFO"}, said)
+        self.report({"INFO"}, message)
         return {"FINISHED"}
 
     @staticmethod
@@ -144,7 +144,7 @@ class _CloudExport(ExportHelper):
         """Why this Blender can write no such file, if it cannot."""
         return None
 
-    def write(self, context, thing: bpy.types.Object, path: Path) -> str:
+    def write(self, context, object_: bpy.types.Object, path: Path) -> str:
         """Write the files; returns a line for the user."""
         raise NotImplementedError
 
@@ -176,10 +176,10 @@ class GOF_OT_export_vdb(_CloudExport, bpy.types.Operator):
     def draw(self, context):
         number(self.layout, self, "voxel_m")
 
-    def write(self, context, thing, path):
+    def write(self, context, object_, path):
         if problem := self.why_not():
             raise DataFormatError(problem)
-        recording = Recording.of(context.scene, thing)
+        recording = Recording.of(context.scene, object_)
         cloud, voxel_m = recording.cloud, self.voxel_m
         if not voxel_m:
             low, high = np.percentile(cloud.position, [1, 99], axis=0)
@@ -204,33 +204,33 @@ class GOF_OT_export_points(_CloudExport, bpy.types.Operator):
     check_extension = None  # the name says which of the formats
     filter_glob: bpy.props.StringProperty(default="*.npz;*.ply;*.usd;*.usdc;*.usda;*.abc", options={"HIDDEN"})
 
-    def write(self, context, thing, path):
+    def write(self, context, object_, path):
         scene = context.scene
         suffix = path.suffix.lower()
         if suffix in RESULTS:
             metres = np.diag([scene.unit_settings.scale_length] * 3 + [1.0])
-            moving = Recording.of(scene, thing).moved_to(metres @ np.array(thing.matrix_world))
-            moving.save(path, source=thing.name)
+            moving = Recording.of(scene, object_).moved_to(metres @ np.array(object_.matrix_world))
+            moving.save(path, source=object_.name)
             return f"{len(moving)} Gaussians: {path}"
         if suffix == ".abc":
-            exchange.write_points(path, thing, scene.frame_start, scene.frame_end)
+            exchange.write_points(path, object_, scene.frame_start, scene.frame_end)
         elif suffix in usd_points.SUFFIXES:
-            self._usd(scene, thing, path)
+            self._usd(scene, object_, path)
         else:
             raise DataFormatError(f"{path.name}: the name must end in .npz, .ply, .usd, .usdc, .usda or .abc")
         return f"Frames {scene.frame_start} to {scene.frame_end}: {path}"
 
     @staticmethod
-    def _usd(scene, thing, path: Path) -> None:
+    def _usd(scene, object_, path: Path) -> None:
         _find_packages()
-        recording = Recording.of(scene, thing)
+        recording = Recording.of(scene, object_)
 
-        def frames() -> Iterator[tuple[int, usd_points.Points]]:
+        def frames() -> Iterator[tuple[int, usd_points.VisibleGaussians]]:
             for frame, time_s in _with_progress(recording):
                 yield frame, usd_points.at(recording.cloud, time_s, recording.least, recording.time_scale)
 
-        clock = usd_points.Clock(scene.frame_start, scene.frame_end, recording.rate)
-        usd_points.write(path, frames(), clock, np.array(thing.matrix_world), scene.unit_settings.scale_length)
+        clock = usd_points.SceneFrames(scene.frame_start, scene.frame_end, recording.rate)
+        usd_points.write(path, frames(), clock, np.array(object_.matrix_world), scene.unit_settings.scale_length)
 
 
 def _find_packages() -> None:

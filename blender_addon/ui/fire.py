@@ -221,10 +221,10 @@ class GOF_OT_add_fire(_SpecOperator, bpy.types.Operator):
         scene = context.scene
         spot = scene.cursor.location.copy()
         if scene.gof.fire.spot == "OBJECT":
-            thing, there = context.active_object, place.find(scene, place.PLACE)
-            if thing is None or (place.part_of(thing) and there is None):
+            object_, there = context.active_object, place.find(scene, place.PLACE)
+            if object_ is None or (place.part_of(object_) and there is None):
                 raise SpecError("there is no active object to burn: click one, or choose At the Cursor")
-            spot = there.location.copy() if place.part_of(thing) else place.on_top_of(thing)  # itself: it stays
+            spot = there.location.copy() if place.part_of(object_) else place.on_top_of(object_)  # itself: it stays
         cost_model.require_memory(spec)  # Blender itself ends where a simulation does not fit
         place.add_fire(spec, scene, place.mark(scene, spot))
         self.report({"INFO"}, "Play the animation to see it burn, or make a benchmark of it")

@@ -49,19 +49,19 @@ def _enum(socket: str, choices: tuple[str, ...], items: list, **annotations):
         return int(cloud[socket]) if cloud else 0
 
     def write(self, number: int) -> None:
-        thing = bpy.context.object
-        cloud = point_cloud.inputs(thing)
+        object_ = bpy.context.object
+        cloud = point_cloud.inputs(object_)
         if cloud is None:
             _say("Select a reconstruction first")
         elif socket == "Mode":
-            point_cloud.show_as(thing, choices[number])
+            point_cloud.show_as(object_, choices[number])
         elif socket != "Color By":
             cloud[socket] = number
-        elif problem := point_cloud.why_not_color(thing.data, choices[number]):
+        elif problem := point_cloud.why_not_color(object_.data, choices[number]):
             _say(f"{items[number][1]}: {problem}")
         else:
             try:
-                point_cloud.color_by(thing, choices[number])
+                point_cloud.color_by(object_, choices[number])
             except point_cloud.CloudError as error:
                 _say(f"{items[number][1]}: {error}")
 
@@ -161,7 +161,7 @@ class GOF_OT_import_result(bpy.types.Operator, ImportHelper):
                 return {"CANCELLED"}
             spot = place.on_top_of(under) if self.spot == "OBJECT" else context.scene.cursor.location.copy()
         render = context.scene.render
-        clock = clouds.Clock(self.fps or render.fps / render.fps_base, self.clip_seconds or None)
+        clock = clouds.CloudTiming(self.fps or render.fps / render.fps_base, self.clip_seconds or None)
         try:
             source = self._source()
             number = clouds.count(source) // self.step
@@ -175,30 +175,30 @@ class GOF_OT_import_result(bpy.types.Operator, ImportHelper):
         except (GofError, OSError, MemoryError) as error:
             self.report({"ERROR"}, str(error) or "not enough memory; set Every n-th")
             return {"CANCELLED"}
-        thing = point_cloud.add_point_cloud(
+        object_ = point_cloud.add_point_cloud(
             cloud, self.start_frame, self.mode, source[0].stem if len(source) == 1 else source[0].parent.name
         )
         if spot is not None:
-            point_cloud.stand_on(thing, cloud, spot)
-        result_file.keep(thing, source)
-        thing["gof_time_unit"] = self.clip_seconds if len(source) == 1 else 1 / clock.fps  # for `gof evaluate`
-        clip_in_scene.keep(thing, cloud)
+            point_cloud.stand_on(object_, cloud, spot)
+        result_file.keep(object_, source)
+        object_["gof_time_unit"] = self.clip_seconds if len(source) == 1 else 1 / clock.fps  # for `gof evaluate`
+        clip_in_scene.keep(object_, cloud)
         if self.fit == "fit" or (self.fit == "new" and clip_in_scene.is_new(context.scene)):
-            clip_in_scene.fit(context.scene, thing)
+            clip_in_scene.fit(context.scene, object_)
         for other in context.selected_objects:
             other.select_set(False)
-        thing.select_set(True)
-        context.view_layer.objects.active = thing
-        said = f"{thing.name}: {len(cloud):,} Gaussians in {time.perf_counter() - started:.1f} s"
-        if clip := clip_in_scene.line(context.scene, thing):
-            said += f". {clip}"
+        object_.select_set(True)
+        context.view_layer.objects.active = object_
+        message = f"{object_.name}: {len(cloud):,} Gaussians in {time.perf_counter() - started:.1f} s"
+        if clip := clip_in_scene.line(context.scene, object_):
+            message += f". {clip}"
         if cloud.datum:  # Blender knows seven digits: the datum's place is the origin here
-            said += ". The origin is x {:.10g}, y {:.10g}, z {:.10g} m of its world, and time 0 is {:.10g} s".format(
+            message += ". The origin is x {:.10g}, y {:.10g}, z {:.10g} m of its world, and time 0 is {:.10g} s".format(
                 *cloud.datum.numbers()
             )
         if _shows_no_colors(context):
-            said += f". {GREY}: press Show Colors in the panel"
-        self.report({"INFO"}, said)
+            message += f". {GREY}: press Show Colors in the panel"
+        self.report({"INFO"}, message)
         return {"FINISHED"}
 
     def _source(self) -> list[Path]:

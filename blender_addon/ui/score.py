@@ -44,10 +44,10 @@ class GOF_PG_score(bpy.types.PropertyGroup):
 
 def _cloud(context) -> bpy.types.Object | None:
     """Return the cloud in question: the active object, or the cloud that it is a view of."""
-    thing = context.object
-    if thing is not None and error_cloud.VIEW_OF in thing:
-        thing = error_cloud.seen_by(thing)
-    return thing if point_cloud.inputs(thing) else None
+    object_ = context.object
+    if object_ is not None and error_cloud.VIEW_OF in object_:
+        object_ = error_cloud.seen_by(object_)
+    return object_ if point_cloud.inputs(object_) else None
 
 
 class _ScoreOperator:
@@ -67,10 +67,10 @@ class GOF_OT_score(_ScoreOperator, JobOperator, bpy.types.Operator):
         return cls.job is None and super().poll(context)
 
     def begin(self, context) -> Evaluation:
-        settings, thing = context.scene.gof.score, _cloud(context)
+        settings, object_ = context.scene.gof.score, _cloud(context)
         python = settings.python or preferences.python()
-        result, dataset = result_file.find(thing, settings.result), Path(bpy.path.abspath(settings.dataset))
-        unit_s = thing.get("gof_time_unit", 0.0)
+        result, dataset = result_file.find(object_, settings.result), Path(bpy.path.abspath(settings.dataset))
+        unit_s = object_.get("gof_time_unit", 0.0)
         if python:
             return Evaluation.by_gof(Path(bpy.path.abspath(python)), result, dataset, unit_s)
         return Evaluation.by_addon(blender(), result, dataset, unit_s)
@@ -89,11 +89,11 @@ class GOF_OT_show_errors(_ScoreOperator, bpy.types.Operator):
     bl_options = {"UNDO"}
 
     def execute(self, context):
-        settings, thing = context.scene.gof.score, _cloud(context)
+        settings, object_ = context.scene.gof.score, _cloud(context)
         try:
-            truth = dve.true_velocity(Path(bpy.path.abspath(settings.dataset)), point_cloud.datum_of(thing))
-            found = error_cloud.add_truth(thing, truth)
-            error_cloud.show(thing)
+            truth = dve.true_velocity(Path(bpy.path.abspath(settings.dataset)), point_cloud.datum_of(object_))
+            found = error_cloud.add_truth(object_, truth)
+            error_cloud.show(object_)
         except (GofError, OSError, point_cloud.CloudError, MemoryError) as error:
             self.report({"ERROR"}, str(error) or "not enough memory for the true velocity")
             return {"CANCELLED"}
@@ -112,12 +112,12 @@ class GOF_PT_score(SidebarPanel, bpy.types.Panel):
     def draw(self, context):
         layout, settings = self.layout, context.scene.gof.score
         layout.use_property_split = True
-        thing = _cloud(context)
+        object_ = _cloud(context)
         write_lines(
-            layout, context, f"Score of {thing.name}" if thing else "Select a reconstruction", "POINTCLOUD_DATA"
+            layout, context, f"Score of {object_.name}" if object_ else "Select a reconstruction", "POINTCLOUD_DATA"
         )
         layout.prop(settings, "dataset")
-        if settings.result or (thing and not result_file.known(thing)):
+        if settings.result or (object_ and not result_file.known(object_)):
             layout.prop(settings, "result")
         if settings.python or not preferences.python():
             layout.prop(settings, "python")

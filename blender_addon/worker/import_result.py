@@ -129,8 +129,8 @@ def import_into_scene(cloud: clouds.GaussianCloud, spec: SceneSpec, mode: str):
     from ..scene import build, point_cloud
 
     build.scene(spec)
-    for thing in list(bpy.data.collections["Fire"].objects):
-        bpy.data.objects.remove(thing)
+    for object_ in list(bpy.data.collections["Fire"].objects):
+        bpy.data.objects.remove(object_)
     return point_cloud.add_point_cloud(cloud, spec.timeline.first_frame, mode)
 
 
@@ -170,7 +170,7 @@ def run(args: argparse.Namespace) -> None:
         path.parent.mkdir(parents=True, exist_ok=True)
     progress = Reporter("import", args.blend.with_suffix(".log"))
     total = 1 + len(outputs)
-    thing = scene.build(cloud, args.mode)
+    object_ = scene.build(cloud, args.mode)
     scene.show(args.camera, args.frame)
     progress(1, total)
     save_blend(args.blend)
@@ -178,7 +178,7 @@ def run(args: argparse.Namespace) -> None:
     if args.preview is not None:
         render_preview(args.preview, min(args.samples, scene.samples))
         progress(3, total)
-    print(f"{thing.name}: {len(cloud)} Gaussians, {args.mode}")
+    print(f"{object_.name}: {len(cloud)} Gaussians, {args.mode}")
 
 
 def _check_outputs(outputs: list[Path], overwrite: bool) -> None:

@@ -13,7 +13,7 @@ from pathlib import Path
 from ..core.errors import DataFormatError, GofError
 from ..core.records import write_record
 from ..pure import dve
-from ..pure.dve import Scores
+from ..pure.dve import MotionScores
 from ..pure.io import cloud as clouds
 from .reporter import Reporter, exit_status, leave, run_alone
 
@@ -32,8 +32,8 @@ def main(argv: list[str] | None = None) -> int:
 def score(args: argparse.Namespace) -> None:
     """Score frame by frame, and write what came out. Raises DataFormatError, OSError: a file that says no score."""
     progress = Reporter("score", args.out.with_suffix(".log"))
-    cloud = clouds.load(args.result, clouds.Clock(dve.frame_rate(args.dataset), args.clip_seconds or None))
-    scores = Scores()
+    cloud = clouds.load(args.result, clouds.CloudTiming(dve.frame_rate(args.dataset), args.clip_seconds or None))
+    scores = MotionScores()
     try:
         for done, total, so_far in dve.score(cloud, args.dataset):
             scores = so_far

@@ -145,7 +145,7 @@ def calibrate(
 
 
 @dataclass(frozen=True)
-class _View:
+class _TargetView:
     """Corners seen in one picture: (N, 1, 3) metres on the target and (N, 1, 2) pixels."""
 
     target: np.ndarray
@@ -162,16 +162,16 @@ class _Fit:
     turns: np.ndarray
     focal_sigma_px: np.ndarray
     rms_px: float
-    views: list[_View]
+    views: list[_TargetView]
 
 
 def _find_corners(
     pictures: Iterable[np.ndarray], target: Charuco, progress: Callable[[int], None]
-) -> tuple[list[_View], tuple[int, int], bool]:
+) -> tuple[list[_TargetView], tuple[int, int], bool]:
     """Return the views that show enough of the target, the pictures' (width, height), and whether it has the old
     layout."""
     layouts = (False, True) if target.has_old_layout else (False,)
-    found: dict[bool, list[_View]] = {old: [] for old in layouts}
+    found: dict[bool, list[_TargetView]] = {old: [] for old in layouts}
     size, seen = (0, 0), 0
     few: list[np.ndarray] = []
     for seen, grey in enumerate(pictures, 1):
@@ -184,7 +184,7 @@ def _find_corners(
         size = (width, height)
         for old in layouts:
             if corners := target.corners(grey, old):
-                found[old].append(_View(*corners))
+                found[old].append(_TargetView(*corners))
         if len(few) < LOOK_AT:
             few.append(grey)
         progress(seen)
@@ -199,7 +199,7 @@ def _find_corners(
     return views, size, old_layout
 
 
-def _fit(views: list[_View], size: tuple[int, int]) -> _Fit:
+def _fit(views: list[_TargetView], size: tuple[int, int]) -> _Fit:
     """Fit, leave bad views out, fit again, until all agree or too few are left."""
     import cv2
 
@@ -225,7 +225,7 @@ def _mean_tilt_deg(turns: np.ndarray) -> float:
     return float(np.degrees(np.arccos(np.clip(normals @ mean / np.linalg.norm(mean), -1, 1)).mean()))
 
 
-def _coverage(views: list[_View], size: tuple[int, int]) -> float:
+def _coverage(views: list[_TargetView], size: tuple[int, int]) -> float:
     """Return share of the picture's cells in which a corner was seen."""
     cells = np.floor(np.concatenate([v.pixels for v in views])[:, 0] / size * GRID).astype(int)
     inside = cells[((cells >= 0) & (cells < GRID)).all(1)]

@@ -43,7 +43,7 @@ class ReplyStatus(IntEnum):
     WRONG_VERSION = 4
 
 
-class State(IntEnum):
+class BoardState(IntEnum):
     """The board's present activity."""
 
     STOPPED = 0
@@ -170,7 +170,7 @@ class Identity:
 class Status:
     """Counter and timing of a board. Jitter is each tick's distance from its ideal time since start."""
 
-    state: State
+    state: BoardState
     phase: int
     count: int
     periods: int
@@ -186,6 +186,6 @@ class Status:
         """Decode a body. Raises ProtocolError for a body this version does not know."""
         try:
             state, *rest = struct.unpack("<BBIIIIiiII", body)
-            return cls(State(state), *rest)
+            return cls(BoardState(state), *rest)
         except (struct.error, ValueError) as e:
             raise ProtocolError(f"the board's status cannot be read ({e}); its firmware does not match this gof") from e

@@ -178,7 +178,7 @@ def _first_guess(ring: _Ring) -> tuple[_Arc, np.ndarray]:
 
 
 @dataclass(frozen=True)
-class _CounterRead:
+class _RingCounterRead:
     """The counter as it shows.
 
     Attributes:
@@ -192,7 +192,7 @@ class _CounterRead:
     bits: int
 
 
-def _read_counter(signals: RingSignals, bright: float) -> _CounterRead:
+def _read_counter(signals: RingSignals, bright: float) -> _RingCounterRead:
     """By a threshold. An LED that never shines although a higher one changes is hidden: between, it must have."""
     level = max(float(np.percentile(signals.counter.max(1), 75)), bright / 4)
     on = signals.counter > level / 2
@@ -203,11 +203,11 @@ def _read_counter(signals: RingSignals, bright: float) -> _CounterRead:
         known &= ~(lower & (on.mean(0) < 0.01))
     bits = int(np.argmin(np.append(known, False)))
     count = on[:, :bits].astype(np.int64) @ (1 << np.arange(bits))
-    return _CounterRead(on, known, count, bits)
+    return _RingCounterRead(on, known, count, bits)
 
 
 def _link(
-    phase: np.ndarray, read: _CounterRead, repeated: np.ndarray, board: RingBoard, options: DecodeOptions
+    phase: np.ndarray, read: _RingCounterRead, repeated: np.ndarray, board: RingBoard, options: DecodeOptions
 ) -> tuple[np.ndarray, np.ndarray, float]:
     """Return (T,) positions on the camera's clock, (T,) times there up to whole rounds, and the interval in us."""
     period = board.period_us
@@ -345,7 +345,7 @@ def _own_times(ring: _Ring, arc: _Arc, time: np.ndarray) -> tuple[np.ndarray, np
 
 
 def _vote(
-    signals: RingSignals, read: _CounterRead, at_us: np.ndarray, board: RingBoard, exposure_us: float
+    signals: RingSignals, read: _RingCounterRead, at_us: np.ndarray, board: RingBoard, exposure_us: float
 ) -> CountVote:
     """Return the round in which the clip starts, from the counters of all frames together: one number explains them
     all.
@@ -387,7 +387,9 @@ def _curve(ring: _Ring, time: np.ndarray, arc: _Arc) -> np.ndarray:
     return (total / np.maximum(np.bincount(bin_, minlength=leds), 1))[None]
 
 
-def _warnings(ring: _Ring, read: _CounterRead, vote: CountVote, used: np.ndarray, signals: RingSignals) -> list[str]:
+def _warnings(
+    ring: _Ring, read: _RingCounterRead, vote: CountVote, used: np.ndarray, signals: RingSignals
+) -> list[str]:
     warnings = []
     hidden = int((~ring.usable.any(0)).sum())
     if hidden:

@@ -9,7 +9,7 @@ from typing import Annotated, Literal
 import tyro
 
 from gof.capture.controller import RESET_SAID, Board, BoardError, ask_ports, candidate_ports, only_board
-from gof.capture.protocol import State, Status
+from gof.capture.protocol import BoardState, Status
 from gof.commands.everywhere import write_figures
 from gof.commands.read import Seconds, read_options
 from gof.host.options import require_number
@@ -150,7 +150,9 @@ def _monitor(board: Board, seconds: float | None) -> None:
             gray = status.count ^ status.count >> 1
             leds = "".join("#" if gray >> i & 1 else "." for i in range(board.identity.gray_bits))
             strips = "".join(
-                "#" if status.state == State.RUNNING and status.phase // board.identity.ticks_per_slot == i else "."
+                "#"
+                if status.state == BoardState.RUNNING and status.phase // board.identity.ticks_per_slot == i
+                else "."
                 for i in range(board.identity.strips)
             )
             live.update(f"{board.port}  strips {strips}  Gray {leds}\n{describe(status)}")

@@ -147,7 +147,7 @@ def sync_without_board(
 ) -> FrameTimesFile:
     """Write times.json by the films' sound, else by the flames' light, and print what was used."""
     try:
-        result, said = synchronise_without_board(config.videos, [option.fps for option in decoding])
+        result, notes = synchronise_without_board(config.videos, [option.fps for option in decoding])
     except GofError as e:
         raise GofError(
             f"no camera could be decoded: {', '.join(names)}: the marker of a known LED board is not there "
@@ -159,8 +159,8 @@ def sync_without_board(
     print(f"board: none is seen; clocks by {used}, {names[0]}'s is the common one")
     for camera in result.cameras:
         print(describe(camera))
-    for text in said:
-        print(f"note: {text}")
+    for note in notes:
+        print(f"note: {note}")
     for warning in result.warnings:
         print(f"warning: {warning}")
     print(f"wrote {folder / FILE}")

@@ -151,10 +151,10 @@ def _fault(error: Exception, argv: list[str]) -> str:
     """Return one line on an unforeseen error, with what helps to find it."""
     frames = traceback.extract_tb(error.__traceback__)
     where = f"{os.path.basename(frames[-1].filename)}:{frames[-1].lineno}" if frames else "an unknown place"
-    said = " ".join(printable(str(error)).split())[:200]
+    message = " ".join(printable(str(error)).split())[:200]
     return (
         f"gof {argv[0] if argv else ''}: an error in gof itself, not in your input: "
-        f"{type(error).__name__} at {where}: {said}. "
+        f"{type(error).__name__} at {where}: {message}. "
         f"Please report it with what gof doctor prints, and with what the same command prints after {DEBUG_VARIABLE}=1"
     )
 
@@ -242,8 +242,8 @@ def run(name: str, argv: list[str]) -> int:
     except BrokenPipeError:
         raise
     except Exception as e:
-        if said := _words_on_memory(e):
-            print(f"gof {name}: not enough memory ({printable(said)[:200]}); close other programs", file=sys.stderr)
+        if shortage := _words_on_memory(e):
+            print(f"gof {name}: not enough memory ({printable(shortage)[:200]}); close other programs", file=sys.stderr)
             return 1
         if not isinstance(e, OSError):
             raise

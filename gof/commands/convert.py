@@ -17,7 +17,7 @@ from gof.host.terminal import console
 from gof.io.convert import convert
 from gof.io.importers import Imported, ImportOptions, read_result
 from gof.io.importers.alignment import align_cameras, read_cameras
-from gof.io.importers.sidecar import FIELDS, with_said, write_said
+from gof.io.importers.sidecar import FIELDS, with_sidecar, write_sidecar
 from gof.io.importers.source import WorldBy
 
 
@@ -89,7 +89,7 @@ def main(argv: list[str]) -> int:
         raise GofError("--align and --dataset go together: cameras of the method's world, and those to map them onto")
     if config.out is None:
         return _write_down(config)
-    options, _ = with_said(config.result, config.foreign())
+    options, _ = with_sidecar(config.result, config.foreign())
     imported = read_result(config.result, options)
     if config.align is not None and config.dataset is not None:
         imported = _moved(imported, config.align, Dataset.open(config.dataset))
@@ -117,10 +117,10 @@ def _write_down(config: ConvertConfig) -> int:
         )
     if (config.time, config.clip, config.align, config.into) != (None,) * 4:
         raise GofError("--time, --clip, --align and --into are for a file that is written; name it (OUT)")
-    known, _ = with_said(config.result, options)
+    known, _ = with_sidecar(config.result, options)
     options = replace(options, code_date=known.code_date, emissive=known.emissive)  # no option says these
     imported = read_result(config.result, options)
-    path = write_said(config.result, options)
+    path = write_sidecar(config.result, options)
     out = console()
     out.print(f"{imported.method}: {len(imported.gaussians)} Gaussians in {imported.path}")
     for note in imported.notes:

@@ -109,14 +109,14 @@ def _subject(path: Path, name: str | None, moment: Moment) -> Subject:
 
 def _box(words: str, moment: Moment) -> Box:
     """Return a part of the picture. Raises GofError: it is not four numbers, or leaves the picture."""
-    said = f"--parts {words}"
+    option = f"--parts {words}"
     try:
         box = Box(*map(int, words.split(",")))
     except (TypeError, ValueError) as e:
-        raise GofError(f"{said}: give a number of parts, or each as left,top,width,height: 60,120,40,40") from e
+        raise GofError(f"{option}: give a number of parts, or each as left,top,width,height: 60,120,40,40") from e
     size = moment.camera.width, moment.camera.height
     if box.width < 1 or box.height < 1 or min(box.x, box.y) < 0:
-        raise GofError(f"{said}: left, top, width and height, the last two 1 or more")
+        raise GofError(f"{option}: left, top, width and height, the last two 1 or more")
     if box.x + box.width > size[0] or box.y + box.height > size[1]:
-        raise GofError(f"{said}: leaves the picture, which is {size[0]}x{size[1]}")
+        raise GofError(f"{option}: leaves the picture, which is {size[0]}x{size[1]}")
     return box

@@ -21,7 +21,7 @@ from gof.look.modalities import Sources, modalities, training_frame
 from gof.look.paper import WIDTH_IN, write_sheet
 from gof.look.player.opened import dataset_beside
 from gof.look.tiles import facts
-from gof.reconstruct.seen import see_again
+from gof.reconstruct.run_inputs import recompute_inputs
 
 PORTRAIT, LANDSCAPE = 6, 4  # tiles in a row
 
@@ -81,8 +81,8 @@ def main(argv: list[str]) -> int:
     camera = camera_number(config.camera, dataset)
     frame = training_frame(dataset, camera, config.time)
     with progress_bar("modalities") as progress:
-        seen = see_again(dataset, run, config.flow_weights, progress)
-    found = modalities(dataset, seen, Sources(run, *depth_sources(config.depth)), camera, frame)
+        inputs = recompute_inputs(dataset, run, config.flow_weights, progress)
+    found = modalities(dataset, inputs, Sources(run, *depth_sources(config.depth)), camera, frame)
     view = dataset.cameras[camera]
     columns = config.columns or even(len(found.tiles), PORTRAIT if view.height > view.width else LANDSCAPE)
     rows = [found.tiles[k : k + columns] for k in range(0, len(found.tiles), columns)]

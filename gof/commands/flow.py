@@ -13,7 +13,7 @@ from gof.commands.everywhere import beside, require_free, write_figures
 from gof.commands.read import read_options
 from gof.core.errors import GofError
 from gof.dataset import Dataset
-from gof.evaluate.flow import FlowScores, View, score_views, views
+from gof.evaluate.flow import CameraFrames, FlowScores, score_views, views
 from gof.host.terminal import console, progress_bar
 from gof.look.flow import FlowFile, write_views
 from gof.look.player.opened import newest, open_moving
@@ -88,7 +88,7 @@ def main(argv: list[str]) -> int:
     return 0
 
 
-def _choose(found: list[View], config: FlowConfig) -> list[View]:
+def _choose(found: list[CameraFrames], config: FlowConfig) -> list[CameraFrames]:
     """Return the views of the cameras that were named, or of all, which have pictures of the frames.
 
     Raises:

@@ -18,7 +18,7 @@ from gof.dataset import Dataset
 from gof.evaluate.leaderboard import (
     COLUMNS,
     Leaderboard,
-    Row,
+    LeaderboardRow,
     collect,
     rows_of,
     to_csv,
@@ -113,7 +113,7 @@ def main(argv: list[str]) -> int:
     return 0
 
 
-def _table(title: str, rows: list[Row]) -> Table:
+def _table(title: str, rows: list[LeaderboardRow]) -> Table:
     """In a narrow window names are folded; numbers and words of headings stay whole."""
     table = Table(title=title, title_justify="left", box=SIMPLE_HEAD, padding=0)
     shown = [key for key in used_columns(rows) if key in SHOWN]

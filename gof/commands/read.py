@@ -114,11 +114,13 @@ def of_command(config: type, command: str, whole: bool = False) -> str:
     if whole and more:
         parts.append("\n\n".join(map(_filled, more)))
     if arguments:
-        parts.append(_listed((argument.name, _said(argument)) for argument in arguments))
+        parts.append(_listed((argument.name, _help_of(argument)) for argument in arguments))
     if first:
-        parts.append("options:\n" + _listed((_called(option), _said(option)) for option in first))
+        parts.append("options:\n" + _listed((_called(option), _help_of(option)) for option in first))
     for title, kind in getattr(config, "MORE", {}).items() if whole else ():
-        keys = [(f"{option.field}{option.value and '=' + option.value}", _said(option)) for option in options_of(kind)]
+        keys = [
+            (f"{option.field}{option.value and '=' + option.value}", _help_of(option)) for option in options_of(kind)
+        ]
         parts.append(f"{title}:\n{_listed(keys)}")
     if whole:
         parts.append("for every command:\n" + _listed(everywhere.OPTIONS.items()))
@@ -146,7 +148,7 @@ def _called(option: Option) -> str:
     return f"{option.name} {option.value}{' ...' if option.several else ''}".rstrip()
 
 
-def _said(option: Option) -> str:
+def _help_of(option: Option) -> str:
     end = " (required)" if option.required and not option.positional else ""
     end = f" (default: {option.default})" if option.default else end
     return f"{option.text}{end}"

@@ -63,7 +63,7 @@ Change = New | Scaled | Word | Key | Names | Gone
 
 
 @dataclass(frozen=True)
-class Changes:
+class CommandChanges:
     """The changes of a command.
 
     Attributes:
@@ -108,28 +108,28 @@ CHARUCO: dict[str, Change] = {
 WIDTH: dict[str, Change] = {"--width": New("--width-in")}
 SIZES = {"--size": {"smoke": "preview", "paper": "full"}}
 
-TABLE: dict[str, Changes] = {
-    "background": Changes(
+TABLE: dict[str, CommandChanges] = {
+    "background": CommandChanges(
         {
             "--longest-side": New("--max-size"),
             "--depth-weights": Gone("is for maps that are made before: gof depth DATASET --plates --weights FOLDER"),
         }
     ),
-    "benchmark add": Changes(FOREIGN, leading={3: ("", "--dataset", "")}),
-    "benchmark list": Changes({"--split": New("--scenes")}, SIZES),
-    "benchmark make": Changes({"--split": New("--scenes")}, SIZES),
-    "benchmark score": Changes({"--split": New("--scenes")}),
-    "capture annotate": Changes(BOARD),
-    "capture board": Changes(
+    "benchmark add": CommandChanges(FOREIGN, leading={3: ("", "--dataset", "")}),
+    "benchmark list": CommandChanges({"--split": New("--scenes")}, SIZES),
+    "benchmark make": CommandChanges({"--split": New("--scenes")}, SIZES),
+    "benchmark score": CommandChanges({"--split": New("--scenes")}),
+    "capture annotate": CommandChanges(BOARD),
+    "capture board": CommandChanges(
         {
             "--pattern": New("--light"),
             "--output": Gone("is the number that --light takes: --light 7"),
         },
         {"--light": {"all_on": "all", "all_off": "none"}},
     ),
-    "capture calibrate": Changes(CHARUCO),
-    "capture draw": Changes(BOARD, leading={1: ("--out",)}),
-    "capture sync": Changes(
+    "capture calibrate": CommandChanges(CHARUCO),
+    "capture draw": CommandChanges(BOARD, leading={1: ("--out",)}),
+    "capture sync": CommandChanges(
         BOARD
         | {
             "--row-time-us": New("--row-time"),
@@ -137,16 +137,16 @@ TABLE: dict[str, Changes] = {
             "--video-codec": Gone("stands behind the layout now: --write-videos plain:mpeg4"),
         }
     ),
-    "capture target": Changes(CHARUCO, leading={1: ("--out",)}),
-    "convert": Changes(
+    "capture target": CommandChanges(CHARUCO, leading={1: ("--out",)}),
+    "convert": CommandChanges(
         {
             "--start": CLIP,
             "--end": CLIP,
             "--code-date": CODE_DATE,
         }
     ),
-    "demo": Changes({"--iterations": New("--steps")}),
-    "evaluate": Changes(
+    "demo": CommandChanges({"--iterations": New("--steps")}),
+    "evaluate": CommandChanges(
         FOREIGN
         | {
             "--truth": New("--dataset"),
@@ -156,15 +156,15 @@ TABLE: dict[str, Changes] = {
             "--opacity": Gone("is varied by gof study score RESULT --dataset DATASET --opacity temporal base"),
         }
     ),
-    "figure compare": Changes(
+    "figure compare": CommandChanges(
         FOREIGN
         | WIDTH
         | {"--names": Names(), "--box": Gone("is what --parts takes now, with commas: --parts 60,120,40,40")}
     ),
-    "figure modalities": Changes(WIDTH | {"--depth-weights": New("--depth")}),
-    "figure removal": Changes(WIDTH),
-    "import": Changes({"--blend": New("--out")}),
-    "ingest": Changes(
+    "figure modalities": CommandChanges(WIDTH | {"--depth-weights": New("--depth")}),
+    "figure removal": CommandChanges(WIDTH),
+    "import": CommandChanges({"--blend": New("--out")}),
+    "ingest": CommandChanges(
         {
             "--fps": New("--times"),
             "--stamps": Word("--times", "stamps"),
@@ -176,12 +176,12 @@ TABLE: dict[str, Changes] = {
             "--depth-weights": Gone("goes with the maps: gof depth DATASET --plates --weights FOLDER"),
         }
     ),
-    "leaderboard": Changes({"--truth": New("--dataset")}),
-    "reconstruct": Changes(EFFORT),
-    "share": Changes(FOREIGN | {"--names": Names()}),
-    "study ablations": Changes(EFFORT),
-    "study reconstruct": Changes(EFFORT, {"--vary": {"iterations": "steps", "longest_side": "max-size"}}),
-    "video": Changes(
+    "leaderboard": CommandChanges({"--truth": New("--dataset")}),
+    "reconstruct": CommandChanges(EFFORT),
+    "share": CommandChanges(FOREIGN | {"--names": Names()}),
+    "study ablations": CommandChanges(EFFORT),
+    "study reconstruct": CommandChanges(EFFORT, {"--vary": {"iterations": "steps", "longest_side": "max-size"}}),
+    "video": CommandChanges(
         FOREIGN
         | {
             "--path": New("--camera-path"),
@@ -234,9 +234,9 @@ def renamed(command: str, argv: list[str]) -> list[str]:
             words = [f"{name}={word}" for name, word in zip(names, given, strict=True)] + words[len(given) :]
             _say(command, plain, " ".join(words[: len(given)]))
         elif isinstance(change, Key):
-            said = "=".join([change.key, *_values(rest, change.count)])
-            collected.setdefault(change.name, []).append(said)
-            _say(command, plain, f"{change.name} {said}")
+            pair = "=".join([change.key, *_values(rest, change.count)])
+            collected.setdefault(change.name, []).append(pair)
+            _say(command, plain, f"{change.name} {pair}")
         elif isinstance(change, Word):
             words += [change.name, change.word]
             _say(command, plain, f"{change.name} {change.word}")

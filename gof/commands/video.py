@@ -21,7 +21,7 @@ from gof.evaluate.scoring import is_flame_alone
 from gof.host.options import require_number, require_positive
 from gof.host.terminal import console, progress_bar
 from gof.io.importers import ImportOptions
-from gof.io.importers.sidecar import with_said
+from gof.io.importers.sidecar import with_sidecar
 from gof.look.animation import STILL, require_film
 from gof.look.film import FilmOptions, Recorded, fitted, make_film
 from gof.look.panels import Panel, Subject
@@ -72,18 +72,18 @@ class FilmStyle:
         Raises:
             GofError: a word is neither; a field that there is not, or a value that it cannot have (names it).
         """
-        said: dict = {}
+        fields_given: dict = {}
         for word in words:
             key, equals, value = word.partition("=")
             if Path(word).suffix == ".json":
                 found = read_json(Path(word))
                 convert_json(cls, found, word)
-                said |= found
+                fields_given |= found
             elif equals or key in cls.__dataclass_fields__:
-                said[key] = _value(value) if equals else True
+                fields_given[key] = _value(value) if equals else True
             else:
                 raise GofError(f"--style {word}: give a .json file, or KEY=VALUE; gof video --help-all lists the keys")
-        return convert_json(cls, said, "--style")
+        return convert_json(cls, fields_given, "--style")
 
 
 def _value(word: str) -> bool | float | str:
@@ -257,28 +257,30 @@ def _subjects(
     for result in results:
         plate, scene = None, None
         if not result.gaussians.dynamic.all():
-            said = "its own still scene"
+            backdrop = "its own still scene"
         elif still is not None:
-            scene, said = still, "the still scene of --style scene"
+            scene, backdrop = still, "the still scene of --style scene"
         elif not is_flame_alone(result.gaussians, result.method, result.flame_only):
-            said = UNKNOWN
+            backdrop = UNKNOWN
         elif config.camera_path == "camera" and view is not None:
             plate = fitted(background(view.dataset, view.camera, result.path), first.camera.width, first.camera.height)
-            said = f"the plate of {view.dataset.cameras[view.camera].name}"
+            backdrop = f"the plate of {view.dataset.cameras[view.camera].name}"
         else:
-            said = "nothing, so black (a still scene is made by `gof background`, and named with --style scene=FILE)"
+            backdrop = (
+                "nothing, so black (a still scene is made by `gof background`, and named with --style scene=FILE)"
+            )
         subjects.append(Subject(result.name, result.gaussians, scene, plate))
-        words[result.name] = said
+        words[result.name] = backdrop
     return subjects, words
 
 
 def _made_of(style: FilmStyle, results: list[Opened], dataset: Dataset | None) -> str:
     """Return which files the film is of, by their content, and how they were read."""
     files = [result.path for result in results] + ([Path(style.scene)] if style.scene else [])
-    said = [with_said(result.path, ImportOptions())[0] for result in results]
+    options = [with_sidecar(result.path, ImportOptions())[0] for result in results]
     digests = [digest(file) if file.is_file() else str(file.resolve()) for file in files]
     plates = "" if dataset is None else dataset.identity()
-    return " ".join([*digests, plates, repr(said)])
+    return " ".join([*digests, plates, repr(options)])
 
 
 def _figures(film) -> dict:

@@ -20,7 +20,7 @@ MODELS = ("SIMPLE_PINHOLE", "PINHOLE")  # of lenses, by COLMAP's number; others 
 Line = tuple[int, str]  # of text: its number, from 1, and what it says
 
 
-class Lens(NamedTuple):
+class ColmapCamera(NamedTuple):
     """A camera of COLMAP without distortion; lengths in pixels."""
 
     width: int
@@ -32,7 +32,7 @@ class Lens(NamedTuple):
 
 
 class Image(NamedTuple):
-    """An image of a model: its name, the number of its `Lens`, and world_to_camera (4, 4)."""
+    """An image of a model: its name, the number of its `ColmapCamera`, and world_to_camera (4, 4)."""
 
     name: str
     lens: int
@@ -57,7 +57,7 @@ def read_colmap(folder: Path) -> tuple[Poses, np.ndarray]:
     return poses, cloud
 
 
-def read_cameras(folder: Path) -> list[tuple[Image, Lens]]:
+def read_cameras(folder: Path) -> list[tuple[Image, ColmapCamera]]:
     """Return the images of a model, in its order, each with its lens.
 
     Raises:
@@ -187,9 +187,9 @@ def _are_numbers(words: list[str]) -> bool:
         return False
 
 
-def _text_lenses(lines: list[Line]) -> list[tuple[int, Lens]]:
+def _text_lenses(lines: list[Line]) -> list[tuple[int, ColmapCamera]]:
     """Per camera a line "number model width height parameters". Raises ValueError: a line is none."""
-    lenses: list[tuple[int, Lens]] = []
+    lenses: list[tuple[int, ColmapCamera]] = []
     for number, line in lines:
         words = line.split()
         if words and not (len(words) > 4 and _are_whole([words[0], *words[2:4]]) and _are_numbers(words[4:])):
@@ -237,7 +237,7 @@ def _binary_images(data: bytes) -> list[Image]:
     return found
 
 
-def _binary_lenses(data: bytes) -> list[tuple[int, Lens]]:
+def _binary_lenses(data: bytes) -> list[tuple[int, ColmapCamera]]:
     """Per camera: u32 number, i32 model, u64 width, u64 height, f64 parameters, as many as the model has."""
     lenses = []
     (count,) = struct.unpack_from("<Q", data)
@@ -263,13 +263,13 @@ def _binary_points(data: bytes) -> list[tuple[float, ...]]:
     return points
 
 
-def _lens(model: str, width: int, height: int, values: list[float]) -> Lens:
+def _lens(model: str, width: int, height: int, values: list[float]) -> ColmapCamera:
     """Read a lens. Raises ValueError: it has distortion, or is no lens."""
     if model not in MODELS:
         raise ValueError(f"{model[:40]} is no PINHOLE or SIMPLE_PINHOLE: run COLMAP's image_undistorter")
     if len(values) != 3 + MODELS.index(model):
         raise ValueError(f"{model} has {3 + MODELS.index(model)} parameters, here are {len(values)}")
-    lens = Lens(width, height, values[0], *values[-3:])
+    lens = ColmapCamera(width, height, values[0], *values[-3:])
     if not np.isfinite(lens).all() or not (
         min(lens.fx, lens.fy) > 0 and 1 <= min(width, height) <= max(width, height) <= LARGEST
     ):

@@ -106,9 +106,9 @@ def moving(values: dict[str, np.ndarray], facts: dict[str, Any], start_s: float,
     )
 
 
-def refuse_variants(said: dict, path: Path) -> None:
+def refuse_variants(settings: dict, path: Path) -> None:
     """Raise DataFormatError: one of the settings that VANILLA lists is another one, so fields mean other things."""
-    for name, value in said.items():
+    for name, value in settings.items():
         if value != VANILLA[name] and (value or VANILLA[name]):
             raise DataFormatError(
                 f"{path}: '{name}' is {str(value)[:40]!r}, so this is a variant of FreeTimeGS vanilla in which the "

@@ -3,8 +3,8 @@
 A model knows the seconds of one machine, `REFERENCE`. How much slower this one is shows in three ways, each better than
 the one before:
 
-- a probe: some arithmetic on every core before the work begins (`Machine.measured_now`), in which slow cores show, and
-  other programs that use them;
+- a probe: some arithmetic on every core before the work begins (`MachineLoad.measured_now`), in which slow cores show,
+  and other programs that use them;
 - earlier work of the same kind, and what it took over what its model expected, kept for this user (`Paces`);
 - the work itself as it goes on: `TimeLeft`, by which bars say what is left.
 """
@@ -48,7 +48,7 @@ def duration(seconds: float) -> str:
 
 
 @dataclass(frozen=True)
-class Machine:
+class MachineLoad:
     """This machine at this moment.
 
     Attributes:
@@ -60,7 +60,7 @@ class Machine:
     crowded: float = 1.0
 
     @classmethod
-    def measured_now(cls) -> Machine:
+    def measured_now(cls) -> MachineLoad:
         """Measure it with probes on every core, a tenth of a second in all.
 
         The quickest of them counts: on a shared computer each is now and then disturbed for some hundredths of a
@@ -78,7 +78,7 @@ class Machine:
         return cls(_bounded(least_cpu_s / PROBE_S), max(_bounded(least_clock_s / max(least_cpu_s, 1e-6)), 1.0))
 
 
-REFERENCE = Machine()
+REFERENCE = MachineLoad()
 """The models' machine: two free cores of a cloud server, which have AVX2 at 2.5 GHz."""
 
 
@@ -118,7 +118,7 @@ class Paces:
         except GofError:
             return cls()
 
-    def expected_s(self, parts: Mapping[str, float], machine: Machine) -> dict[str, float]:
+    def expected_s(self, parts: Mapping[str, float], machine: MachineLoad) -> dict[str, float]:
         """Return seconds on the clock for each part, from a model's seconds by kind of work."""
         return {kind: s * self.ratios.get(kind, machine.slow) * machine.crowded for kind, s in parts.items()}
 

@@ -138,8 +138,8 @@ class Dataset:
         for entry in about["cameras"]:
             if entry["frames"] is None:  # as it was before there was such a field
                 del entry["frames"]
-        said = json.dumps(about, sort_keys=True)
-        return f"{self.description.name} {hashlib.sha256((said + files).encode()).hexdigest()[:16]}"
+        text = json.dumps(about, sort_keys=True)
+        return f"{self.description.name} {hashlib.sha256((text + files).encode()).hexdigest()[:16]}"
 
     def image(self, camera: int, frame: int) -> np.ndarray:
         """Return (H, W, 3) float32 display sRGB in [0, 1]."""

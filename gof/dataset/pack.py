@@ -32,7 +32,7 @@ from gof.dataset.dataset import Dataset
 
 
 @dataclass(frozen=True)
-class Truth:
+class VelocityFingerprint:
     """The fingerprint of a velocity store.
 
     Attributes:
@@ -44,7 +44,7 @@ class Truth:
     rms_m_s: tuple[float, ...]
 
     @classmethod
-    def of(cls, dataset: Dataset) -> Truth:
+    def of(cls, dataset: Dataset) -> VelocityFingerprint:
         """Read every frame. Raises DataFormatError: the dataset has no true velocity, or it is damaged."""
         store = dataset.velocity
         state = hashlib.sha256()
@@ -58,7 +58,7 @@ class Truth:
             speeds.append(float(np.sqrt(np.square(values.astype(np.float64)).sum(-1).mean())))
         return cls(state.hexdigest(), tuple(round(speed, 6) for speed in speeds))
 
-    def differs(self, recorded: Truth) -> str:
+    def differs(self, recorded: VelocityFingerprint) -> str:
         """In what this truth is another than the recorded one; empty where it is the same."""
         if self.sha256 == recorded.sha256:
             return ""
@@ -298,7 +298,7 @@ def card(dataset: Dataset, licence: str, authors: tuple[str, ...], total: int) -
     Raises:
         DataFormatError: the true velocity cannot be read.
     """
-    said = description_lines(dataset, total)
+    facts = description_lines(dataset, total)
     made = dataset.description.provenance
     parts = [
         "---",
@@ -312,7 +312,7 @@ def card(dataset: Dataset, licence: str, authors: tuple[str, ...], total: int) -
         "",
         "| what | |",
         "|---|---|",
-        *(f"| {what} | {_plain(found)} |" for what, found in said.items()),
+        *(f"| {what} | {_plain(found)} |" for what, found in facts.items()),
         "",
         "Frames of `splits.test` in dataset.json are held out: no method may use them, nor flow from or to them.",
         "",
@@ -348,7 +348,9 @@ def description_lines(dataset: Dataset, total: int) -> dict[str, str]:
         store = dataset.velocity
         cells = "x".join(map(str, store.resolution))
         lines["velocity"] = f"velocity.zarr, {cells} cells at {len(store)} times, m/s in world axes, at cell centres"
-        lines["digest of the truth"] = f"{Truth.of(dataset).sha256} (docs/benchmark.md says what it is of)"
+        lines["digest of the truth"] = (
+            f"{VelocityFingerprint.of(dataset).sha256} (docs/benchmark.md says what it is of)"
+        )
     return lines
 
 

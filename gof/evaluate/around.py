@@ -111,7 +111,7 @@ def meeting_point(cameras: list[Camera]) -> np.ndarray:
 
 
 def _directions(cameras: list[Camera], middle: np.ndarray) -> np.ndarray:
-    """Unit vectors (C, 3) from the middle to the cameras; against the optical axis for one that stands there."""
+    """Return unit vectors (C, 3) from the middle to the cameras; against the axis of one that stands there."""
     away = np.stack([camera.position for camera in cameras]) - middle
     length = np.linalg.norm(away, axis=1, keepdims=True)
     back = -np.stack([camera.world_to_camera[2, :3] for camera in cameras])

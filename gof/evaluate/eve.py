@@ -168,8 +168,8 @@ def score_eve(
         time_s, rows = float(places.times_s[k]), np.flatnonzero(places.light[k])
         state = gaussians.state_at(time_s)
         visible = opacity_per_metre(places.position[rows], state, time_s)
-        said = _said(state, fields.at(time_s), time_s, visible.gaussian)
-        return rows, visible.total(), {name: visible.mean_velocity(velocity) for name, velocity in said.items()}
+        velocities = _compared_velocities(state, fields.at(time_s), time_s, visible.gaussian)
+        return rows, visible.total(), {name: visible.mean_velocity(velocity) for name, velocity in velocities.items()}
 
     for k, (rows, total, means) in enumerate(map_on_cores(asked, range(len(places.times_s)), progress)):
         there[k, rows] = total
@@ -182,16 +182,18 @@ def score_eve(
     return _result(places, answers, empty)
 
 
-def _said(state: TransientGaussians, field: StoredField, time_s: float, seen: np.ndarray) -> dict[str, np.ndarray]:
+def _compared_velocities(
+    state: TransientGaussians, field: StoredField, time_s: float, seen: np.ndarray
+) -> dict[str, np.ndarray]:
     """Return the velocities (N, 3) of the Gaussians that are compared; "true_centre" of the `seen` rows alone."""
     moving = state.dynamic[:, None]
-    said = {"own": state.moving_gas.astype(np.float64)}
+    velocities = {"own": state.moving_gas.astype(np.float64)}
     if state.gas_velocity is not None:
-        said["light"] = np.where(moving, state.velocity, 0).astype(np.float64)
+        velocities["light"] = np.where(moving, state.velocity, 0).astype(np.float64)
     rows = np.unique(seen)
-    said["true_centre"] = np.zeros((len(state), 3))
-    said["true_centre"][rows] = field.sample(state.at(time_s)[0][rows].astype(np.float64))
-    return said
+    velocities["true_centre"] = np.zeros((len(state), 3))
+    velocities["true_centre"][rows] = field.sample(state.at(time_s)[0][rows].astype(np.float64))
+    return velocities
 
 
 def _result(places: ClipPlaces, answers: dict[str, np.ndarray], empty: np.ndarray) -> EveResult:

@@ -17,7 +17,7 @@ IN_FLAME = 0.5  # of a mask
 
 
 @dataclass(frozen=True)
-class View:
+class CameraFrames:
     """A camera of a dataset and its frames, by numbers; `dataset` is that whose `cameras` hold it."""
 
     dataset: Dataset
@@ -35,18 +35,18 @@ class View:
         return bool(self.frames) and self.dataset.has_flow(self.camera)
 
 
-def views(dataset: Dataset, frames: Iterable[int]) -> list[View]:
+def views(dataset: Dataset, frames: Iterable[int]) -> list[CameraFrames]:
     """Return a dataset's cameras, of every role, with those of the frames that they have pictures of, maybe none."""
     parts = [part for part in (dataset, dataset.evaluation_view(), dataset.around_view()) if part is not None]
     found = []
     for part in parts:
         for number in range(len(part.cameras)):
             known = set(part.frames(number))
-            found.append(View(part, number, tuple(k for k in frames if k in known)))
+            found.append(CameraFrames(part, number, tuple(k for k in frames if k in known)))
     return found
 
 
-def motion(gaussians: MovingGaussians, view: View, frame: int, nominal: bool = False) -> ScreenVelocity:
+def motion(gaussians: MovingGaussians, view: CameraFrames, frame: int, nominal: bool = False) -> ScreenVelocity:
     """Draw the motion of a camera's pixels at a frame, px/s: the projected velocities J v, blended as colours are.
 
     Args:
@@ -61,7 +61,7 @@ def motion(gaussians: MovingGaussians, view: View, frame: int, nominal: bool = F
     return ScreenVelocity(np.where(seen[..., None], drawn.flow, 0), np.where(seen, drawn.alpha, 0))
 
 
-def true_motion(view: View, frame: int) -> tuple[np.ndarray, np.ndarray]:
+def true_motion(view: CameraFrames, frame: int) -> tuple[np.ndarray, np.ndarray]:
     """Return the exact motion (H, W, 2), px per frame, and where it is known and flame is seen, (H, W) bool."""
     flow, light = view.dataset.true_flow(view.camera, frame)
     mask = view.dataset.mask(view.camera, frame)
@@ -87,7 +87,7 @@ class FlowScores:
 
 
 def score_views(
-    gaussians: MovingGaussians, chosen: Sequence[View], progress: Callable[[int, int], None]
+    gaussians: MovingGaussians, chosen: Sequence[CameraFrames], progress: Callable[[int, int], None]
 ) -> FlowScores | None:
     """Compare motion with the simulation's; None where no camera has it, or no flame is seen.
 
@@ -118,7 +118,7 @@ def score_views(
     return FlowScores(*scores, covered / result.pixels, pictures, chosen[0].dataset.frame_time_s)
 
 
-def _mean_motion(view: View) -> np.ndarray:
+def _mean_motion(view: CameraFrames) -> np.ndarray:
     """Return the mean true motion (2,) of a camera's flame pixels over its frames, px per frame."""
     total, count = np.zeros(2), 0
     for frame in view.frames:

@@ -63,7 +63,7 @@ class Metrics:
 
 
 @dataclass(frozen=True)
-class View:
+class ScoredView:
     """A camera by its number, and what its pictures are scored with: all (H, W, 3) display values, `board` (H, W)."""
 
     number: int
@@ -73,7 +73,7 @@ class View:
 
 
 @dataclass(frozen=True)
-class Frame:
+class ScoredFrame:
     """A frame of a camera, drawn and as it was."""
 
     number: int
@@ -110,15 +110,15 @@ def image_scores(
     frames = [k for k in _frames_to_draw(dataset) if known[k]]
     boards = [dataset.board_weight(number) for number in range(len(dataset.cameras))]
 
-    def held_out() -> Iterator[tuple[View, Frame, Frame | None]]:
+    def held_out() -> Iterator[tuple[ScoredView, ScoredFrame, ScoredFrame | None]]:
         for number, board in enumerate(boards):
-            view = View(number, backgrounds[number], plates[number], board)
+            view = ScoredView(number, backgrounds[number], plates[number], board)
             for i, (frame, after) in enumerate(_with_next(_draw(gaussians, dataset, view, frames, extras, costs))):
                 if frame.number in dataset.test_frames:
                     yield view, frame, after
                 progress(number * len(frames) + i + 1, len(boards) * len(frames), stage="pictures")
 
-    def score(of: tuple[View, Frame, Frame | None]) -> tuple[PictureScore, PublishedFigures | None]:
+    def score(of: tuple[ScoredView, ScoredFrame, ScoredFrame | None]) -> tuple[PictureScore, PublishedFigures | None]:
         view, frame, after = of
         with timed(costs, "images"):
             row = _picture_score(dataset, view, frame, after, metrics, extras)
@@ -173,11 +173,11 @@ def _frames_to_draw(dataset: Dataset) -> list[int]:
 def _draw(
     gaussians: MovingGaussians,
     dataset: Dataset,
-    view: View,
+    view: ScoredView,
     frames: list[int],
     extras: Extras,
     costs: dict[str, float],
-) -> Iterator[Frame]:
+) -> Iterator[ScoredFrame]:
     """Yield the frames of a camera in order, one at a time."""
     from gof.render import render  # here: it loads the compiler
 
@@ -190,10 +190,10 @@ def _draw(
             disparity = None if extras.flow is None else drawn_disparity(state, camera, time_s)
             truth = dataset.image(view.number, k)
             mask = dataset.mask(view.number, k)
-        yield Frame(k, np.clip(drawn["color"], 0, 1), drawn["alpha"], drawn["depth"], disparity, truth, mask)
+        yield ScoredFrame(k, np.clip(drawn["color"], 0, 1), drawn["alpha"], drawn["depth"], disparity, truth, mask)
 
 
-def _with_next(frames: Iterable[Frame]) -> Iterator[tuple[Frame, Frame | None]]:
+def _with_next(frames: Iterable[ScoredFrame]) -> Iterator[tuple[ScoredFrame, ScoredFrame | None]]:
     """Yield every frame with the one that follows it in the clip; None where that is not among them."""
     before = None
     for frame in frames:
@@ -205,7 +205,7 @@ def _with_next(frames: Iterable[Frame]) -> Iterator[tuple[Frame, Frame | None]]:
 
 
 def _picture_score(
-    dataset: Dataset, view: View, frame: Frame, after: Frame | None, metrics: Metrics, extras: Extras
+    dataset: Dataset, view: ScoredView, frame: ScoredFrame, after: ScoredFrame | None, metrics: Metrics, extras: Extras
 ) -> PictureScore:
     """Return all scores of one held-out frame of one camera."""
     camera, mask, board = dataset.cameras[view.number].name, frame.mask, view.board
@@ -238,7 +238,9 @@ def _picture_score(
     return PictureScore(camera=camera, frame=frame.number, flame_share=flame_share, **figures)
 
 
-def _published(dataset: Dataset, view: View, frame: Frame, after: Frame, extras: Extras) -> PublishedFigures:
+def _published(
+    dataset: Dataset, view: ScoredView, frame: ScoredFrame, after: ScoredFrame, extras: Extras
+) -> PublishedFigures:
     """Return the authors' figures of one held-out frame of one camera."""
     camera = dataset.cameras[view.number].name
     expected = None if extras.disparity is None else read_depth(extras.disparity, camera, frame.number)

@@ -155,7 +155,7 @@ COLUMNS = {
 
 
 @dataclass(frozen=True, kw_only=True)
-class Row:
+class LeaderboardRow:
     """A line of the leaderboard: a result, or a trivial baseline of the only one. The figures are named as in COLUMNS.
 
     A line with `other_footage` shows what authors published for other fires, and one with `unfinished` a training that
@@ -227,7 +227,7 @@ class Leaderboard:
     SCHEMA: ClassVar[str] = "gof-leaderboard"
     VERSION: ClassVar[int] = 1
 
-    rows: tuple[Row, ...]
+    rows: tuple[LeaderboardRow, ...]
 
 
 def about(folder: Path) -> AboutMethod:
@@ -270,7 +270,7 @@ def _training(folder: Path, scores: Scores) -> tuple[StageCost, ...]:
     return ()
 
 
-def rows_of(results: Sequence[EvaluatedResult]) -> list[Row]:
+def rows_of(results: Sequence[EvaluatedResult]) -> list[LeaderboardRow]:
     """Return one row per result, what the authors published if a result has their figures, then the trivial baselines
     of a single one.
 
@@ -278,7 +278,7 @@ def rows_of(results: Sequence[EvaluatedResult]) -> list[Row]:
     own.
     """
     rows = [
-        Row(
+        LeaderboardRow(
             name=result.name,
             method=result.scores.import_.method,
             unfinished=result.unfinished,
@@ -291,7 +291,7 @@ def rows_of(results: Sequence[EvaluatedResult]) -> list[Row]:
         rows.append(_authors_row())
     trivial_baselines = results[0].scores.trivial_baselines if len(results) == 1 else {}
     return rows + [
-        Row(
+        LeaderboardRow(
             name=f"trivial: {name}",
             method=trivial_baseline.meaning,
             trivial_baseline=True,
@@ -304,25 +304,25 @@ def rows_of(results: Sequence[EvaluatedResult]) -> list[Row]:
 
 
 def _figures(result: EvaluatedResult, keys: Iterable[str]) -> dict[str, Any]:
-    """Return the fields of a `Row` with these names."""
+    """Return the fields of a `LeaderboardRow` with these names."""
     return {key: COLUMNS[key].value(result) for key in keys}
 
 
-def _authors_row() -> Row:
+def _authors_row() -> LeaderboardRow:
     """Return the authors' own figures, of other footage."""
     about = EvaluatedResult(
         Path(), NAME, Scores(gaussians=0, dynamic_gaussians=0, import_=Origin(NAME), published=THEIRS), None
     )
     figures = _figures(about, [key for key in COLUMNS if key.startswith("published_")])
-    return Row(name=f"{NAME}, other footage", method=OTHER_FOOTAGE, other_footage=True, **figures)
+    return LeaderboardRow(name=f"{NAME}, other footage", method=OTHER_FOOTAGE, other_footage=True, **figures)
 
 
-def used_columns(rows: Sequence[Row]) -> list[str]:
+def used_columns(rows: Sequence[LeaderboardRow]) -> list[str]:
     """Return the columns in which any row has a value."""
     return [key for key in COLUMNS if any(getattr(row, key) is not None for row in rows)]
 
 
-def best_rows(rows: Sequence[Row]) -> dict[str, int]:
+def best_rows(rows: Sequence[LeaderboardRow]) -> dict[str, int]:
     """Return column -> number of the row with its best value, the first of equals; only rows that compete take part."""
     best = {}
     for key, column in COLUMNS.items():
@@ -335,7 +335,7 @@ def best_rows(rows: Sequence[Row]) -> dict[str, int]:
     return best
 
 
-def to_csv(rows: Sequence[Row]) -> str:
+def to_csv(rows: Sequence[LeaderboardRow]) -> str:
     out = io.StringIO()
     writer = csv.writer(out, lineterminator="\n")
     writer.writerow(["name", "method", "trivial_baseline", "other_footage", *COLUMNS])
@@ -346,7 +346,7 @@ def to_csv(rows: Sequence[Row]) -> str:
     return out.getvalue()
 
 
-def to_markdown(rows: Sequence[Row]) -> str:
+def to_markdown(rows: Sequence[LeaderboardRow]) -> str:
     """Return the best value of every column in bold; trivial baselines and rows of other footage in italics, never
     bold."""
     keys, best = used_columns(rows), best_rows(rows)

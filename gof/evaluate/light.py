@@ -61,7 +61,7 @@ def score_light(
     """
     chosen = np.unique(np.linspace(0, len(times_s) - 1, min(FRAMES, len(times_s))).round().astype(int))
 
-    def compare(time_s: float) -> _Frame | None:
+    def compare(time_s: float) -> _LightSums | None:
         return _compare(gaussians.state_at(time_s), flame, time_s, forward)
 
     found = map_on_cores(compare, np.asarray(times_s, np.float64)[chosen].tolist(), progress)
@@ -130,7 +130,7 @@ def _light_of_cells(
 
 
 @dataclass(frozen=True)
-class _Frame:
+class _LightSums:
     """Sums over the cells of a frame, and variances (2,) m2 of the light along and across the view."""
 
     error: float
@@ -142,7 +142,7 @@ class _Frame:
     true_variance: np.ndarray
 
 
-def _compare(state: TransientGaussians, flame: FlameGrid, time_s: float, forward: np.ndarray) -> _Frame | None:
+def _compare(state: TransientGaussians, flame: FlameGrid, time_s: float, forward: np.ndarray) -> _LightSums | None:
     """None where the truth is dark."""
     cells, true_light = flame.light(flame.frame_at(time_s))
     if not len(cells):
@@ -159,7 +159,7 @@ def _compare(state: TransientGaussians, flame: FlameGrid, time_s: float, forward
     lit = np.pad(true > DARK * true.max(), 1)
     near = np.lib.stride_tricks.sliding_window_view(lit, (3, 3, 3)).any((3, 4, 5))
     true_places = (cells + 0.5) @ flame.index_to_world[:3, :3].T + flame.index_to_world[:3, 3]
-    return _Frame(
+    return _LightSums(
         error=((ours - true) ** 2).sum(),
         product=(ours * true).sum(),
         square=(ours**2).sum(),

@@ -382,5 +382,5 @@ def velocity_of(scores: Sequence[Scores]) -> str | None:
 
     A result that says another velocity for the gas has that of its Gaussians as a trivial baseline.
     """
-    said = {"gas" if "light" in one.trivial_baselines else "light" for one in scores if one.dve is not None}
-    return said.pop() if len(said) == 1 else None
+    scored = {"gas" if "light" in one.trivial_baselines else "light" for one in scores if one.dve is not None}
+    return scored.pop() if len(scored) == 1 else None

@@ -42,7 +42,7 @@ from gof.evaluate.sparse_grid import StoredFields
 from gof.evaluate.trivial_baselines import TRIVIAL_BASELINES, skill
 from gof.io.importers import ImportOptions, read_result
 from gof.io.importers.alignment import align_cameras, read_cameras, require_same_world
-from gof.io.importers.sidecar import in_words, with_said
+from gof.io.importers.sidecar import in_words, with_sidecar
 
 NO_PICTURES = "the dataset holds no frame out, so there are no scores of pictures"
 NO_LIGHT = 'the dataset has no grids/flame.zarr, so there is no EVE; a scene with "ground_truth": ["grids"] writes it'
@@ -97,13 +97,13 @@ def evaluate(
     made_from = None if own is None else MadeFrom.read(own if own.is_dir() else own.parent)
     figures: dict[str, Any] = {}
     if dataset.has_velocity:
-        figures, said = _score_motion(gaussians, dataset, order, opacity, costs, progress)
-        warnings += said
+        figures, motion_warnings = _score_motion(gaussians, dataset, order, opacity, costs, progress)
+        warnings += motion_warnings
     else:
         warnings.append("the dataset has no true velocity field, so there is no DVE")
     warnings += _leak_warnings(made_from, dataset.test_frames)
     if images:
-        flame_only = flame_only or (own is not None and with_said(own, ImportOptions())[0].flame_only)
+        flame_only = flame_only or (own is not None and with_sidecar(own, ImportOptions())[0].flame_only)
         origin = _drawn_as(origin, gaussians, flame_only)
         plates = [dataset.static(k) for k in range(len(dataset.cameras))]
         names = [camera.name for camera in dataset.cameras]
@@ -168,11 +168,11 @@ def _drawn_as(origin: Origin, gaussians: MovingGaussians, flame_only: bool) -> O
     """Return the origin with what its pictures are drawn over, and a note where that may be another than was thought
     of."""
     over_plates = is_flame_alone(gaussians, origin.method, flame_only)
-    said = (
+    note = (
         "pictures are those of its Gaussians alone, over black; `gof convert RESULT --flame-only` says that it is a "
         "flame alone, which is drawn over the plates"
     )
-    notes = origin.notes if over_plates or origin.method in OURS else (*origin.notes, said)
+    notes = origin.notes if over_plates or origin.method in OURS else (*origin.notes, note)
     return replace(origin, over_plates=over_plates, notes=notes)
 
 
@@ -180,7 +180,7 @@ def _load(
     result: Path | MovingGaussians, dataset: Dataset, foreign: ImportOptions, align: Path | None
 ) -> tuple[MovingGaussians, Origin]:
     if isinstance(result, Path):
-        foreign, said = with_said(result, foreign)
+        foreign, sidecar = with_sidecar(result, foreign)
         options = replace(
             foreign,
             frame_time_s=foreign.frame_time_s or dataset.frame_time_s or None,
@@ -188,7 +188,7 @@ def _load(
         )
         imported = read_result(result, options)
         gaussians, notes = imported.gaussians.measured_from(dataset.datum), list(imported.notes)
-        notes += [] if said is None else [in_words(said, foreign)]
+        notes += [] if sidecar is None else [in_words(sidecar, foreign)]
         if options.world is not None and options.world.is_dir() and align is None:
             ours = {c.name: c.world_to_camera for c in dataset.cameras}
             notes.append(require_same_world(read_cameras(options.world), ours, options.world))
@@ -207,8 +207,8 @@ def _leak_warnings(made_from: MadeFrom | None, held_out: list[int]) -> list[str]
     """Return a warning where a result learned from frames that are held out here."""
     found = leaks(made_from.files if made_from else {}, held_out).values()
     frames = sorted({frame for frames in found for frame in frames})
-    said = f"it was made from frames {frames}, which are held out here: its scores are not those of unseen frames"
-    return [said] if frames else []
+    warning = f"it was made from frames {frames}, which are held out here: its scores are not those of unseen frames"
+    return [warning] if frames else []
 
 
 def known_frames(gaussians: MovingGaussians, dataset: Dataset) -> np.ndarray:

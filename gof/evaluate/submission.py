@@ -191,7 +191,7 @@ PICTURE_FIGURES = ("psnr", "psnr_flame", "ssim", "ssim_flame")
 
 
 @dataclass(frozen=True)
-class Finding:
+class SubmissionFinding:
     """One line of a check: what was looked at (`of`: "jet/seed_0", "method.json"), and what was found."""
 
     of: str
@@ -207,7 +207,7 @@ def check(
     submission: Submission,
     datasets: dict[str, Dataset],
     scored: Callable[[Run, Dataset], Scores] | None = None,
-) -> Iterator[Finding]:
+) -> Iterator[SubmissionFinding]:
     """Yield all findings about a submission, one by one.
 
     Args:
@@ -223,7 +223,7 @@ def check(
             try:
                 yield from _run(Run.open(folder, scene), datasets[scene], submission, name, scored or score_again)
             except GofError as e:
-                yield Finding(name, "can be read", "refused", str(e))
+                yield SubmissionFinding(name, "can be read", "refused", str(e))
 
 
 def score_again(run: Run, dataset: Dataset) -> Scores:
@@ -236,20 +236,22 @@ def score_again(run: Run, dataset: Dataset) -> Scores:
 # ---------------------------------------------------------------- the method
 
 
-def _about(submission: Submission, datasets: dict[str, Dataset]) -> Iterator[Finding]:
+def _about(submission: Submission, datasets: dict[str, Dataset]) -> Iterator[SubmissionFinding]:
     method = submission.method
     missing = method.missing()
-    said = f"does not say {', '.join(missing)}" if missing else "states authors, code and prior knowledge"
-    yield Finding("method.json", "complete", "refused" if missing else "ok", said)
+    message = f"does not say {', '.join(missing)}" if missing else "states authors, code and prior knowledge"
+    yield SubmissionFinding("method.json", "complete", "refused" if missing else "ok", message)
     unknown = sorted(submission.runs.keys() - datasets.keys())
     if unknown:
-        yield Finding("scenes", "of the suite", "refused", f"{', '.join(unknown)}: no such scene here")
+        yield SubmissionFinding("scenes", "of the suite", "refused", f"{', '.join(unknown)}: no such scene here")
     absent = sorted(datasets.keys() - submission.runs.keys())
-    said = f"no result of {', '.join(absent)}: the row is shown but not ranked" if absent else "all there"
-    yield Finding("scenes", "all of them", "hint" if absent else "ok", said)
+    message = f"no result of {', '.join(absent)}: the row is shown but not ranked" if absent else "all there"
+    yield SubmissionFinding("scenes", "all of them", "hint" if absent else "ok", message)
     few = sorted(scene for scene, runs in submission.runs.items() if len(runs) < SEEDS)
     if method.random and few:
-        yield Finding("runs", "seeds", "hint", f"training is random, and {', '.join(few)} have fewer than {SEEDS} runs")
+        yield SubmissionFinding(
+            "runs", "seeds", "hint", f"training is random, and {', '.join(few)} have fewer than {SEEDS} runs"
+        )
 
 
 # ---------------------------------------------------------------- a run
@@ -257,11 +259,11 @@ def _about(submission: Submission, datasets: dict[str, Dataset]) -> Iterator[Fin
 
 def _run(
     run: Run, dataset: Dataset, submission: Submission, name: str, scored: Callable[[Run, Dataset], Scores]
-) -> Iterator[Finding]:
+) -> Iterator[SubmissionFinding]:
     pictures = _missing_pictures(run, dataset)
     absent = [MADE_FROM] * (not (run.folder / MADE_FROM).is_file()) + pictures
-    said = f"{', '.join(absent[:3])}{' ...' if len(absent) > 3 else ''} not there" if absent else "all there"
-    yield Finding(name, "files", "refused" if absent else "ok", said)
+    message = f"{', '.join(absent[:3])}{' ...' if len(absent) > 3 else ''} not there" if absent else "all there"
+    yield SubmissionFinding(name, "files", "refused" if absent else "ok", message)
     gaussians = read_again(run, dataset)
     if (run.folder / CURVE).is_file():
         TrainingCurve.read(run.folder / CURVE)
@@ -272,9 +274,9 @@ def _run(
     yield _unseen(run, dataset, gaussians, name)
     again = scored(run, dataset)
     if unlikely := beyond_sense(again):
-        yield Finding(name, "scores are those of a flame", "refused", unlikely)
+        yield SubmissionFinding(name, "scores are those of a flame", "refused", unlikely)
     if suspicious := too_good(again):
-        yield Finding(name, "velocities are not the truth's", "hint", suspicious)
+        yield SubmissionFinding(name, "velocities are not the truth's", "hint", suspicious)
     yield from _scores(run, again, name)
 
 
@@ -283,7 +285,7 @@ def _missing_pictures(run: Run, dataset: Dataset) -> list[str]:
     return [path.relative_to(run.folder).as_posix() for path in files if not path.is_file()]
 
 
-def _clock(gaussians: MovingGaussians, dataset: Dataset, name: str) -> Finding:
+def _clock(gaussians: MovingGaussians, dataset: Dataset, name: str) -> SubmissionFinding:
     """Return the result speaks of the whole clip, and of no time far from it."""
     first, last = float(dataset.times_s[0]), float(dataset.times_s[-1])
     known = known_frames(gaussians, dataset)
@@ -291,13 +293,17 @@ def _clock(gaussians: MovingGaussians, dataset: Dataset, name: str) -> Finding:
     clip = f"the clip's {first:g} to {last:g} s"
     if not known.all():
         covered = "{:g} to {:g} s".format(*gaussians.covered_s)
-        return Finding(name, "clock", "refused", f"says something about {covered} only, not about all of {clip}")
+        return SubmissionFinding(
+            name, "clock", "refused", f"says something about {covered} only, not about all of {clip}"
+        )
     if dead < first or born > last:
-        return Finding(name, "clock", "refused", f"its Gaussians live from {born:g} to {dead:g} s, outside {clip}")
-    return Finding(name, "clock", "ok", f"covers {clip}")
+        return SubmissionFinding(
+            name, "clock", "refused", f"its Gaussians live from {born:g} to {dead:g} s, outside {clip}"
+        )
+    return SubmissionFinding(name, "clock", "ok", f"covers {clip}")
 
 
-def _frames(run: Run, dataset: Dataset, submission: Submission, name: str) -> Iterator[Finding]:
+def _frames(run: Run, dataset: Dataset, submission: Submission, name: str) -> Iterator[SubmissionFinding]:
     """Yield whether the run says what it was made from, and whether method.json says it too."""
     made_from = MadeFrom.read(run.folder)
     if made_from is None:
@@ -305,27 +311,31 @@ def _frames(run: Run, dataset: Dataset, submission: Submission, name: str) -> It
     found = leaks(made_from.files, dataset.test_frames)
     if found:
         frames = sorted({frame for frames in found.values() for frame in frames})
-        said = f"{', '.join(found)} made from held-out frames {frames}"
-        yield Finding(name, "held-out frames", "refused", said)
+        message = f"{', '.join(found)} made from held-out frames {frames}"
+        yield SubmissionFinding(name, "held-out frames", "refused", message)
     elif not made_from.files:
-        yield Finding(name, "held-out frames", "refused", f"{MADE_FROM} names no file: from which frames was it made?")
+        yield SubmissionFinding(
+            name, "held-out frames", "refused", f"{MADE_FROM} names no file: from which frames was it made?"
+        )
     else:
-        yield Finding(name, "held-out frames", "ok", "in nothing that it was made from, by its own word")
+        yield SubmissionFinding(name, "held-out frames", "ok", "in nothing that it was made from, by its own word")
     if made_from.learned and not submission.method.prior:
-        said = f"{MADE_FROM} says that {', '.join(made_from.learned)} went in; method.json names no prior"
-        yield Finding(name, "prior knowledge", "refused", said)
+        message = f"{MADE_FROM} says that {', '.join(made_from.learned)} went in; method.json names no prior"
+        yield SubmissionFinding(name, "prior knowledge", "refused", message)
     if run.scores.import_.over_plates and not any("plate" in given for given in submission.method.given):
-        said = "it is drawn over the dataset's plates; `given` in method.json does not name them"
-        yield Finding(name, "plates", "refused", said)
+        message = "it is drawn over the dataset's plates; `given` in method.json does not name them"
+        yield SubmissionFinding(name, "plates", "refused", message)
 
 
-def _pictures(run: Run, dataset: Dataset, gaussians: MovingGaussians, name: str) -> Finding:
+def _pictures(run: Run, dataset: Dataset, gaussians: MovingGaussians, name: str) -> SubmissionFinding:
     """Return the checkpoint draws the pictures that came with it."""
     ours = draw(gaussians, dataset, run.result, run.scores.import_.over_plates, dataset.test_frames)
     worst = min(((_like_the_submitted(run, dataset, shown), shown) for shown in ours), key=lambda pair: pair[0])
-    said = f"the least alike of them is {worst[0]:.1f} dB from its Gaussians drawn here (camera {worst[1].camera}, "
-    said += f"frame {worst[1].frame}; {ALIKE_DB:g} dB are required)"
-    return Finding(name, "checkpoint reproduces its pictures", "ok" if worst[0] >= ALIKE_DB else "refused", said)
+    message = f"the least alike of them is {worst[0]:.1f} dB from its Gaussians drawn here (camera {worst[1].camera}, "
+    message += f"frame {worst[1].frame}; {ALIKE_DB:g} dB are required)"
+    return SubmissionFinding(
+        name, "checkpoint reproduces its pictures", "ok" if worst[0] >= ALIKE_DB else "refused", message
+    )
 
 
 def _like_the_submitted(run: Run, dataset: Dataset, shown: Shown) -> float:
@@ -337,7 +347,7 @@ def _like_the_submitted(run: Run, dataset: Dataset, shown: Shown) -> float:
     return min(99.0 if found is None else found for found in (whole, flame, 99.0))
 
 
-def _unseen(run: Run, dataset: Dataset, gaussians: MovingGaussians, name: str) -> Finding:
+def _unseen(run: Run, dataset: Dataset, gaussians: MovingGaussians, name: str) -> SubmissionFinding:
     """Held-out frames look worse than their neighbours, which the method learned from.
 
     Every method fits what it saw better than what it did not see. Where the flame in held-out frames is as good as in
@@ -353,11 +363,15 @@ def _unseen(run: Run, dataset: Dataset, gaussians: MovingGaussians, name: str) -
     ]
     gaps = [gap for gap in gaps if np.isfinite(gap)]
     if len(gaps) < 2:
-        return Finding(name, "unseen frames", "hint", "too few held-out frames to compare with their neighbours")
+        return SubmissionFinding(
+            name, "unseen frames", "hint", "too few held-out frames to compare with their neighbours"
+        )
     gap = over_frames(gaps, 0)
     worse = gap.mean > 0 and gap.p_value < 0.05
-    said = f"the flame in held-out frames is {gap.mean:.2f} ± {gap.half_width:.2f} dB worse than in their neighbours"
-    return Finding(name, "unseen frames", "ok" if worse else "hint", said if worse else f"{said}: were they seen?")
+    message = f"the flame in held-out frames is {gap.mean:.2f} ± {gap.half_width:.2f} dB worse than in their neighbours"
+    return SubmissionFinding(
+        name, "unseen frames", "ok" if worse else "hint", message if worse else f"{message}: were they seen?"
+    )
 
 
 def _flame_psnr(dataset: Dataset, shown: Shown) -> float:
@@ -367,11 +381,11 @@ def _flame_psnr(dataset: Dataset, shown: Shown) -> float:
     return float("nan") if found is None else found
 
 
-def _scores(run: Run, again: Scores, name: str) -> Iterator[Finding]:
+def _scores(run: Run, again: Scores, name: str) -> Iterator[SubmissionFinding]:
     """Yield whether its scores are those that it states."""
     if (dve := run.scores.dve) is not None and (dve.order, dve.opacity) != (ORDER, OPACITY):
-        said = f"scores.json has order {dve.order} and {dve.opacity} opacity; all are scored with {ORDER}, {OPACITY}"
-        yield Finding(name, "scored as all others", "refused", said)
+        message = f"scores.json has order {dve.order} and {dve.opacity} opacity; all are scored with {ORDER}, {OPACITY}"
+        yield SubmissionFinding(name, "scored as all others", "refused", message)
     stated, ours = _figures(run.scores), _figures(again)
     off = [
         f"{key} is {ours[key]:.4f}, its scores.json says {stated[key]:.4f}"
@@ -381,12 +395,12 @@ def _scores(run: Run, again: Scores, name: str) -> Iterator[Finding]:
         if stated.get(key) is None or abs(stated[key] - ours[key]) > SAME * max(abs(ours[key]), 0.1)
     ]
     if off:
-        yield Finding(name, "scores reproduce", "refused", "; ".join(off))
+        yield SubmissionFinding(name, "scores reproduce", "refused", "; ".join(off))
     else:
         listed = ", ".join(f"{key} {value:.4f}" for key, value in ours.items())
-        yield Finding(name, "scores reproduce", "ok", listed)
+        yield SubmissionFinding(name, "scores reproduce", "ok", listed)
     for warning in again.warnings:
-        yield Finding(name, "warning", "hint", warning)
+        yield SubmissionFinding(name, "warning", "hint", warning)
 
 
 def _figures(scores: Scores) -> dict[str, float]:

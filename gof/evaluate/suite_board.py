@@ -156,7 +156,7 @@ def board(
             name: [beyond_sense(run.scores) for run in runs] for name, runs in scene.runs.items() if name in methods
         }
         for name, found in wrong.items():
-            crosses[name] += tuple(f"{scene.name}: {said}" for said in found if said)
+            crosses[name] += tuple(f"{scene.name}: {reason}" for reason in found if reason)
         runs = {name: runs for name, runs in scene.runs.items() if not any(wrong.get(name, ()))}
         sensible.append(replace(scene, runs=runs, curves={n: c for n, c in scene.curves.items() if n in runs}))
     scenes = sensible
@@ -226,7 +226,9 @@ def _row(
         prior=about.prior,
         figures={key: figure for key, figure in figures.items() if figure is not None},
         over_plates=_over_plates([run.scores for scene in here for run in scene.runs[name]]),
-        alarm=next((f"{s.name}: {said}" for s in here for run in s.runs[name] if (said := too_good(run.scores))), ""),
+        alarm=next(
+            (f"{s.name}: {reason}" for s in here for run in s.runs[name] if (reason := too_good(run.scores))), ""
+        ),
         velocity=velocity_of([run.scores for scene in here for run in scene.runs[name]]) or "",
     )
 
@@ -252,8 +254,8 @@ def too_good(scores: Scores) -> str:
 
 
 def _over_plates(scores: Sequence[Scores]) -> bool | None:
-    said = {one.import_.over_plates for one in scores}
-    return said.pop() if len(said) == 1 else None
+    drawn_over = {one.import_.over_plates for one in scores}
+    return drawn_over.pop() if len(drawn_over) == 1 else None
 
 
 def _plain(value: Callable, name: str, scenes: Sequence[ScoredScene]) -> Figure | None:

@@ -72,7 +72,7 @@ REPEATED_SHARE = 0.1  # of the neighbours' median change; single frames of films
 CHANGES = 0.2  # levels of 255 by which a film's pictures must change, mean, for a repeat to be one
 
 
-class Changes:
+class FrameChanges:
     """Changes of a film's pictures from frame to frame, which it gathers as they are read."""
 
     def __init__(self) -> None:

@@ -110,7 +110,7 @@ class Steadying:
 
 
 @dataclass(frozen=True)
-class Seen:
+class StillPoints:
     """A clip's still things as its frames show them.
 
     Attributes:
@@ -128,7 +128,7 @@ class Seen:
     small: np.ndarray
 
 
-def look(clip: Collection[np.ndarray], reference: np.ndarray, place: int) -> Seen:
+def look(clip: Collection[np.ndarray], reference: np.ndarray, place: int) -> StillPoints:
     """Follow the corners of `reference`, the clip's frame number `place`, through the clip: (H, W, 3) uint8 RGB."""
     import cv2
 
@@ -145,7 +145,9 @@ def look(clip: Collection[np.ndarray], reference: np.ndarray, place: int) -> See
         small.append(cv2.resize(frame, shape, interpolation=cv2.INTER_AREA))
         tracks.append(_followed(base, _even(frame, scale), points))
     pixels = (points.reshape(-1, 2) + 0.5) / scale - 0.5
-    return Seen((width, height), reference, place, pixels, (np.array(tracks) + 0.5) / scale - 0.5, np.array(small))
+    return StillPoints(
+        (width, height), reference, place, pixels, (np.array(tracks) + 0.5) / scale - 0.5, np.array(small)
+    )
 
 
 def _even(picture: np.ndarray, scale: float) -> np.ndarray:
@@ -187,7 +189,7 @@ def _lucas_kanade(first: np.ndarray, then: np.ndarray, points: np.ndarray) -> tu
 # ---- moves -----------------------------------------------------------------------------------------------------------
 
 
-def find_moves(seen: Seen, known: np.ndarray) -> tuple[np.ndarray, Model, int, float]:
+def find_moves(seen: StillPoints, known: np.ndarray) -> tuple[np.ndarray, Model, int, float]:
     """Return (N, 3, 3) that take each frame's pixels to the reference's, their model, how many points stand still, and
     the rms px to which they do.
 
@@ -211,7 +213,7 @@ def find_moves(seen: Seen, known: np.ndarray) -> tuple[np.ndarray, Model, int, f
 
 
 def _fitted(
-    seen: Seen, known: np.ndarray, still: np.ndarray, model: Model
+    seen: StillPoints, known: np.ndarray, still: np.ndarray, model: Model
 ) -> tuple[np.ndarray, np.ndarray, float] | None:
     """Return the moves by a model, which of the points (P,) stand still by them, and their rms px; None: too few do."""
     places = seen.points.copy()
@@ -303,7 +305,7 @@ def corner_moves(moves: np.ndarray, size: tuple[int, int]) -> np.ndarray:
 # ---- exposure --------------------------------------------------------------------------------------------------------
 
 
-def find_gains(seen: Seen, moves: np.ndarray, known: np.ndarray) -> tuple[np.ndarray, str]:
+def find_gains(seen: StillPoints, moves: np.ndarray, known: np.ndarray) -> tuple[np.ndarray, str]:
     """Return (N, 3) light of every frame over the usual, and a note; all 1 where it is steady, or changes as a fire's
     light does.
 
@@ -352,7 +354,7 @@ def find_gains(seen: Seen, moves: np.ndarray, known: np.ndarray) -> tuple[np.nda
     return np.exp(filled), f"the exposure changes by {percent}: every frame is brought to the usual one"
 
 
-def _light_of_cells(seen: Seen, moves: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _light_of_cells(seen: StillPoints, moves: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return (N, cells, 3) linear light of the small pictures, put in place, and where it says something."""
     import cv2
 
@@ -402,7 +404,7 @@ def _smoothed(series: np.ndarray) -> np.ndarray:
 # ---- both ------------------------------------------------------------------------------------------------------------
 
 
-def steady(seen: Seen, known: np.ndarray, name: str, numbers: np.ndarray) -> Steadying:
+def steady(seen: StillPoints, known: np.ndarray, name: str, numbers: np.ndarray) -> Steadying:
     """Return the corrections of a clip.
 
     Args:
@@ -429,8 +431,8 @@ def steady(seen: Seen, known: np.ndarray, name: str, numbers: np.ndarray) -> Ste
         )
     else:
         moves = np.tile(np.eye(3), (len(moves), 1, 1))
-    gain, said = find_gains(seen, moves, known)
-    notes += [said] if said else []
+    gain, note = find_gains(seen, moves, known)
+    notes += [note] if note else []
     put_right = bool((gain != 1).any())
     frames: tuple[FrameCorrection, ...] = ()
     if moves_much or put_right:

@@ -20,7 +20,7 @@ from gof.core.errors import DataFormatError
 from gof.core.numbered import frame_of, is_hidden, number_files
 from gof.footage.colour import UNKNOWN, Colour
 from gof.footage.containers import codes_fields, film_track, made_at, video_tracks
-from gof.footage.defects import Changes, find_combs
+from gof.footage.defects import FrameChanges, find_combs
 from gof.footage.pictures import read_picture, read_rotation
 
 PICTURES = (".png", ".jpg", ".jpeg", ".tif", ".tiff", ".bmp")
@@ -400,7 +400,7 @@ def read_info(path: Path, progress: Callable[[int, int], None] | None = None) ->
     """
     import cv2
 
-    info, changes = stated_info(path), Changes()
+    info, changes = stated_info(path), FrameChanges()
     pairs = np.unique(np.linspace(0, max((info.stated_frames or LOOKED_AT) - 2, 0), LOOKED_AT).astype(int))
     wanted = {number + more for number in pairs.tolist() for more in (0, 1)}
     seen: dict[int, np.ndarray] = {}

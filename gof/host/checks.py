@@ -69,7 +69,7 @@ class Check:
 
 
 @dataclass(frozen=True)
-class Finding:
+class CheckResult:
     """The result of a check."""
 
     name: str
@@ -217,7 +217,7 @@ def checks() -> list[Check]:
     return sorted([*CHECKS, *added], key=lambda check: check.place)
 
 
-def examine(checks: list[Check]) -> list[Finding]:
+def examine(checks: list[Check]) -> list[CheckResult]:
     """Run checks; one that itself fails counts as broken and says why."""
     findings = []
     for check in checks:
@@ -225,7 +225,7 @@ def examine(checks: list[Check]) -> list[Finding]:
             status, detail = check.run()
         except Exception as e:  # a doctor must report whatever goes wrong
             status, detail = "broken", f"{type(e).__name__}: {e}"
-        findings.append(Finding(check.name, check.purpose, status, detail))
+        findings.append(CheckResult(check.name, check.purpose, status, detail))
     return findings
 
 

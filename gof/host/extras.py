@@ -30,8 +30,10 @@ def load(module: str, extra: str, purpose: str) -> ModuleType:
         missing = (e.name or module).partition(".")[0]
         raise MissingDependencyError(f"{purpose} needs {missing}: {command(extra)}") from e
     except ImportError as e:  # a library of the system is missing, say
-        said = f"{purpose} needs {module}, which is installed but does not load ({e}); reinstall it: {command(extra)}"
-        raise MissingDependencyError(said) from e
+        message = (
+            f"{purpose} needs {module}, which is installed but does not load ({e}); reinstall it: {command(extra)}"
+        )
+        raise MissingDependencyError(message) from e
 
 
 def require(module: str, extra: str, purpose: str) -> None:

@@ -136,8 +136,8 @@ def progress_bar(
             progress.refresh()
         if not console.is_terminal and (done == total or time.monotonic() - last > 15):
             last = time.monotonic()
-            said = f", {duration(shown.seconds)} left" if shown.seconds and done < total else ""
-            print(f"{stage or title}: {done}/{total} {note}".rstrip() + said, file=sys.stderr, flush=True)
+            remaining = f", {duration(shown.seconds)} left" if shown.seconds and done < total else ""
+            print(f"{stage or title}: {done}/{total} {note}".rstrip() + remaining, file=sys.stderr, flush=True)
 
     if ticking:
         progress.start()

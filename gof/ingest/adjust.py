@@ -9,7 +9,7 @@ import numpy as np
 
 from gof.dataset.poses import PointCheck
 from gof.footage.lens import STRAIGHT, Lens
-from gof.ingest.bundle import Sightings, State, adjust
+from gof.ingest.bundle import BundleParameters, Sightings, adjust
 from gof.ingest.marked_points import MarkedPoint
 from gof.ingest.sfm import Features, Model, PoseError, epipolar_distance
 
@@ -175,7 +175,7 @@ def bundle(poses: np.ndarray, lenses: list[Lens], points: list[MarkedPoint], cha
     if not rows:
         raise PoseError("no feature and no marked point is in two pictures, and no marked point has believed xyz")
     seen = Sightings(*(np.array(column) for column in zip(*rows, strict=True)))
-    found = adjust(State(poses, bodies, start), seen, np.stack([lens.K for lens in lenses]))
+    found = adjust(BundleParameters(poses, bodies, start), seen, np.stack([lens.K for lens in lenses]))
     first = found.bodies[0] if len(boards) else np.eye(4)  # the world stays that of the first board
     return Model(found.cameras @ first, (found.points - first[:3, 3]) @ first[:3, :3])
 

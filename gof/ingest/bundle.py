@@ -42,7 +42,7 @@ class Sightings:
 
 
 @dataclass(frozen=True)
-class State:
+class BundleParameters:
     """The adjusted quantities: cameras (C, 4, 4) world to camera, bodies (B, 4, 4) body to world, free points (N,
     3)."""
 
@@ -50,17 +50,19 @@ class State:
     bodies: np.ndarray
     points: np.ndarray
 
-    def moved(self, step: np.ndarray, shift: np.ndarray) -> State:
+    def moved(self, step: np.ndarray, shift: np.ndarray) -> BundleParameters:
         """By rotation vectors and shifts (C + B, 6) of cameras and bodies, and shifts (N, 3) of points."""
         count = len(self.cameras)
-        return State(_moved(self.cameras, step[:count]), _moved(self.bodies, step[count:]), self.points + shift)
+        return BundleParameters(
+            _moved(self.cameras, step[:count]), _moved(self.bodies, step[count:]), self.points + shift
+        )
 
-    def about(self, origin: np.ndarray) -> State:
+    def about(self, origin: np.ndarray) -> BundleParameters:
         """Return the same in a world whose origin (3,) is there."""
         cameras, bodies = self.cameras.copy(), self.bodies.copy()
         cameras[:, :3, 3] += cameras[:, :3, :3] @ origin
         bodies[:, :3, 3] -= origin
-        return State(cameras, bodies, self.points - origin)
+        return BundleParameters(cameras, bodies, self.points - origin)
 
 
 def _moved(poses: np.ndarray, step: np.ndarray) -> np.ndarray:
@@ -88,7 +90,7 @@ class _Projection:
         return float((square / (np.sqrt(1 + square) + 1)).sum())
 
 
-def adjust(start: State, seen: Sightings, K: np.ndarray) -> State:
+def adjust(start: BundleParameters, seen: Sightings, K: np.ndarray) -> BundleParameters:
     """Return the state near `start` that explains the pixels best (soft L1, so that single mismatches hardly pull).
 
     Args:
@@ -118,7 +120,7 @@ def adjust(start: State, seen: Sightings, K: np.ndarray) -> State:
     return state.about(-middle)
 
 
-def _project(state: State, seen: Sightings, K: np.ndarray) -> _Projection:
+def _project(state: BundleParameters, seen: Sightings, K: np.ndarray) -> _Projection:
     free = seen.point >= 0
     world, in_world = np.zeros_like(seen.xyz), np.zeros_like(seen.xyz)
     world[free] = state.points[seen.point[free]]
@@ -157,7 +159,7 @@ class _Normal:
     pulls: np.ndarray
 
     @classmethod
-    def of(cls, state: State, seen: Sightings, now: _Projection) -> _Normal:
+    def of(cls, state: BundleParameters, seen: Sightings, now: _Projection) -> _Normal:
         O, count = len(seen.camera), len(state.cameras)
         by_world = now.slope @ state.cameras[seen.camera, :3, :3]
         J = np.zeros((O, 2, count + len(state.bodies), 6))

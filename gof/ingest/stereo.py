@@ -50,7 +50,7 @@ def semi_global(
 
 
 @dataclass(frozen=True)
-class _View:
+class _RectifiedView:
     """One camera of a rectified pair, OpenCV's pixel convention (centres at integers): K (3, 3) of the picture, the
     rotation R (3, 3) into rectified axes, the projection P (3, 4) of the rectified picture."""
 
@@ -63,8 +63,8 @@ class _View:
 class _Rectified:
     """Two views resampled so that a point lies in the same row of both; size is (width, height) in px."""
 
-    first: _View
-    second: _View
+    first: _RectifiedView
+    second: _RectifiedView
     size: tuple[int, int]
 
     @classmethod
@@ -88,9 +88,9 @@ class _Rectified:
             alpha=-1,  # keeps the focal length; OpenCV's other choices turn it negative for strongly turned pairs
         )
         to_middle = np.array([[1, 0, (size[0] - width) / 2], [0, 1, (size[1] - height) / 2], [0, 0, 1]])
-        return cls(_View(K1, R1, to_middle @ P1), _View(K2, R2, to_middle @ P2), size)
+        return cls(_RectifiedView(K1, R1, to_middle @ P1), _RectifiedView(K2, R2, to_middle @ P2), size)
 
-    def rectify(self, picture: np.ndarray, view: _View) -> np.ndarray:
+    def rectify(self, picture: np.ndarray, view: _RectifiedView) -> np.ndarray:
         """Return the view's picture (H, W, 3) RGB in grey, rectified."""
         import cv2
 

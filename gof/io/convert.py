@@ -15,7 +15,7 @@ from gof.core.ply import splat_columns, write
 from gof.host.options import require_number
 from gof.io import compressed, dgs, fourdgs, gltf, tsog, usd
 from gof.io.importers import Imported, ImportOptions, gof_files, read_result
-from gof.io.importers.sidecar import file_of, write_said
+from gof.io.importers.sidecar import file_of, write_sidecar
 from gof.io.into_room import put_into_room
 from gof.io.losses import measure_loss
 
@@ -145,13 +145,16 @@ def _keep_facts(
     notes = [HAZIER] if emissive and out.suffix != ".npz" else []
     if not unsaid and not imported.flame_only:
         return notes
-    said = ImportOptions(
+    options = ImportOptions(
         time_unit_s=None if out.suffix else frame_time_s,
         time_zero_s=_clip(g, out, start_s, end_s)[0] if timeless and isinstance(g, TransientGaussians) else 0.0,
         flame_only=imported.flame_only or bool(g.dynamic.all()),
         emissive=unsaid,
     )
-    return [*notes, f"{write_said(out, said).name} beside it tells gof what it cannot say itself: keep both together"]
+    return [
+        *notes,
+        f"{write_sidecar(out, options).name} beside it tells gof what it cannot say itself: keep both together",
+    ]
 
 
 def _light_in(out: Path) -> str:

@@ -62,7 +62,7 @@ def save(gaussians: TransientGaussians, path: Path, start_s: float, end_s: float
     for name, values in (("velocity", velocity), ("t_mu", middle), ("t_sigma", width)):
         require_finite(name, values.astype(np.float32), "a TSOG of float32")
     sh = (g.color[:, None] - 0.5) / C0 if g.color.ndim == 2 else g.color
-    pictures = _Pictures(len(g))
+    pictures = _PictureWriter(len(g))
     meta: dict[str, Any] = {
         "version": VERSION,
         "profile": PROFILE,
@@ -102,7 +102,7 @@ def losses(g: TransientGaussians) -> list[str]:
     return notes
 
 
-class _Pictures:
+class _PictureWriter:
     """The pictures of a file: a pixel a Gaussian, row by row."""
 
     def __init__(self, count: int):

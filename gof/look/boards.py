@@ -13,7 +13,7 @@ from gof.core.errors import GofError
 from gof.core.gaussians import TransientGaussians
 from gof.dataset import Dataset
 from gof.evaluate.intervals import weighted_quantile
-from gof.evaluate.leaderboard import COLUMNS, EvaluatedResult, Row, best_rows, in_markdown, used_columns
+from gof.evaluate.leaderboard import COLUMNS, EvaluatedResult, LeaderboardRow, best_rows, in_markdown, used_columns
 from gof.evaluate.sparse_grid import StoredField
 from gof.evaluate.suite_board import RANKED, BoardRow, BoardScene, Figure, SuiteBoard
 from gof.evaluate.training_curve import TrainingCurve
@@ -254,7 +254,7 @@ def stream_plots(
 
 
 def leaderboard_html(
-    rows: Sequence[Row], streams: Sequence[StreamPlots], title: str, grid: PageGrid | None = None
+    rows: Sequence[LeaderboardRow], streams: Sequence[StreamPlots], title: str, grid: PageGrid | None = None
 ) -> str:
     """Return the page; everything is inside it."""
     keys, best = used_columns(rows), best_rows(rows)

@@ -24,7 +24,7 @@ import numpy as np
 
 from gof.core.errors import GofError
 from gof.core.files import atomic_path
-from gof.evaluate.leaderboard import COLUMNS, LOWER, Row, pareto
+from gof.evaluate.leaderboard import COLUMNS, LOWER, LeaderboardRow, pareto
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -345,7 +345,7 @@ def _has_place(point: Point, log: Logarithmic) -> bool:
 # ---------------------------------------------------------------- scores
 
 
-def accuracy_charts(rows: Sequence[Row]) -> dict[str, Chart]:
+def accuracy_charts(rows: Sequence[LeaderboardRow]) -> dict[str, Chart]:
     """Return a chart by score for each that a method has whose training time is known."""
     constant = next((row for row in rows if row.trivial_baseline and row.name.endswith("constant")), None)
     charts = {}

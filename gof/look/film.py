@@ -178,8 +178,8 @@ def _key(
     look = {name: value for name, value in asdict(options).items() if name not in ("keep_frames", "fps")}
     seen = [(shot.camera.to_dict(), shot.time_s, shot.note) for shot in shots]
     names = [subject.name for subject in subjects]
-    said = json.dumps([gof.__version__, made_of, names, look, seen, recorded is not None and recorded.camera])
-    return hashlib.sha256(said.encode()).hexdigest()[:16]
+    text = json.dumps([gof.__version__, made_of, names, look, seen, recorded is not None and recorded.camera])
+    return hashlib.sha256(text.encode()).hexdigest()[:16]
 
 
 def _read(files: list[Path]) -> Iterator[np.ndarray]:

@@ -10,7 +10,7 @@ import numpy as np
 
 from gof.core.flow import write_flow
 from gof.core.gaussians import MovingGaussians
-from gof.evaluate.flow import View, motion, true_motion
+from gof.evaluate.flow import CameraFrames, motion, true_motion
 from gof.evaluate.screen_motion import ScreenVelocity
 from gof.footage.pictures import write_picture
 from gof.look.images import side_by_side
@@ -21,7 +21,7 @@ FlowFile = Literal["exr", "flo", "png"]
 
 def write_views(
     gaussians: MovingGaussians,
-    chosen: Sequence[View],
+    chosen: Sequence[CameraFrames],
     out: Path,
     kinds: Sequence[FlowFile],
     progress: Callable[[int, int], None],
@@ -51,12 +51,12 @@ def write_views(
     return longest
 
 
-def _longest(gaussians: MovingGaussians, chosen: Sequence[View]) -> float:
+def _longest(gaussians: MovingGaussians, chosen: Sequence[CameraFrames]) -> float:
     """Return one speed of full brightness for all pictures, px/s: that of the middle frames."""
     return fastest([motion(gaussians, view, view.frames[len(view.frames) // 2]) for view in chosen])
 
 
-def _picture(drawn: ScreenVelocity, view: View, frame: int, longest: float) -> np.ndarray:
+def _picture(drawn: ScreenVelocity, view: CameraFrames, frame: int, longest: float) -> np.ndarray:
     panels = [draw(drawn, longest, scale=1)]
     if view.has_truth:
         flow, known = true_motion(view, frame)

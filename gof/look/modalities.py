@@ -23,7 +23,7 @@ from gof.look.animation import original
 from gof.look.tiles import Tile, depth_tile, dimmed, picture_tile, velocity_tile
 from gof.look.velocity import fastest, of_result, true_there, unit
 from gof.reconstruct.flow_field import FlowField, FrameField
-from gof.reconstruct.seen import Seen
+from gof.reconstruct.run_inputs import RunInputs
 from gof.render import render
 
 SHRUNK = 0.3  # of the Gaussians' size in the tile of seeds: each is seen by itself
@@ -70,14 +70,14 @@ def training_frame(dataset: Dataset, camera: int, time_s: float | None) -> int:
     return min(frames, key=lambda k: abs(float(dataset.camera_times_s(camera)[k]) - time_s))
 
 
-def modalities(dataset: Dataset, seen: Seen, sources: Sources, camera: int, frame: int) -> Modalities:
+def modalities(dataset: Dataset, inputs: RunInputs, sources: Sources, camera: int, frame: int) -> Modalities:
     """Return the tiles of one camera and one training frame.
 
     Args:
-        dataset: at full size.   seen: what the run in `sources.run` saw of it.
+        dataset: at full size.   inputs: what the run in `sources.run` saw of it.
         camera, frame: numbers.
     """
-    view, out = _View(dataset, seen, sources, camera, frame), Modalities()
+    view, out = _FrameTiles(dataset, inputs, sources, camera, frame), Modalities()
     seeds, result = (view.gaussians(name, out) for name in ("seeds", "result"))
     depths = view.depths(result, out)
     velocities = view.velocities(result)
@@ -93,22 +93,22 @@ def modalities(dataset: Dataset, seen: Seen, sources: Sources, camera: int, fram
     return out
 
 
-class _View:
+class _FrameTiles:
     """One camera at one training frame."""
 
-    def __init__(self, dataset: Dataset, seen: Seen, sources: Sources, number: int, frame: int):
-        self.dataset, self.seen, self.sources, self.number, self.frame = dataset, seen, sources, number, frame
+    def __init__(self, dataset: Dataset, inputs: RunInputs, sources: Sources, number: int, frame: int):
+        self.dataset, self.inputs, self.sources, self.number, self.frame = dataset, inputs, sources, number, frame
         self.camera: Camera = dataset.cameras[number]
-        self.small: Camera = seen.dataset.cameras[number]
+        self.small: Camera = inputs.dataset.cameras[number]
         self.time_s = float(dataset.camera_times_s(number)[frame])
-        self.f = int(np.flatnonzero(seen.observation.frames == frame)[0])
+        self.f = int(np.flatnonzero(inputs.observation.frames == frame)[0])
         self.length = "m" if dataset.description.in_metres else "units"
 
     def pictures(self) -> list[Tile]:
         """Show what was filmed, what is behind the fire, and where the fire is."""
         image, plate = self.dataset.image(self.number, self.frame), self.dataset.static(self.number)
-        mask = self.seen.observation.mask[self.f, self.number]
-        small = self.seen.dataset.image(self.number, self.frame)
+        mask = self.inputs.observation.mask[self.f, self.number]
+        small = self.inputs.dataset.image(self.number, self.frame)
         shown = replace(picture_tile(dimmed(small, 0.3 + 0.7 * mask), "flame mask"), outline=mask)
         return [picture_tile(image, f"picture ({original(self.dataset)})"), picture_tile(plate, "background"), shown]
 
@@ -168,8 +168,8 @@ class _View:
 
     def optical_flow(self) -> Tile:
         """Return where it is known and flame is, px/s of the pictures that the run has seen."""
-        flow = self.seen.observation.flow[self.f, self.number]
-        known = np.isfinite(flow).all(-1) & self.seen.observation.mask[self.f, self.number]
+        flow = self.inputs.observation.flow[self.f, self.number]
+        known = np.isfinite(flow).all(-1) & self.inputs.observation.mask[self.f, self.number]
         longest = float(np.percentile(np.linalg.norm(flow[known], axis=-1), 98)) if known.any() else 0.0
         shown = ScreenVelocity(np.where(known[..., None], flow, 0), known.astype(float))
         size = f"{self.small.width} x {self.small.height} px"
@@ -177,7 +177,7 @@ class _View:
 
     def velocities(self, result: TransientGaussians | None) -> dict[str, Tile]:
         """Show the gas' velocities parallel to the picture, on one scale: flow field, result, and true ones there."""
-        field = self.seen.field
+        field = self.inputs.field
         frame = field.frames[self.f]
         fields = {FLOW_FIELD: sideways_velocity(voxels_as_gaussians(field, frame), self.small, frame.time_s)}
         if result is not None:

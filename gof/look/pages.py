@@ -90,10 +90,10 @@ def in_words(tile: Tile) -> str:
     """Return the tile's note, and what its colours mean."""
     legend = tile.legend
     if isinstance(legend, Bar):
-        said = f"colours: {legend.low:.3g} to {legend.high:.3g} {legend.unit}"
+        meaning = f"colours: {legend.low:.3g} to {legend.high:.3g} {legend.unit}"
     else:
-        said = f"full brightness: {legend.longest:.3g} {legend.unit}" if isinstance(legend, Wheel) else ""
-    return "; ".join(filter(None, (tile.note, said)))
+        meaning = f"full brightness: {legend.longest:.3g} {legend.unit}" if isinstance(legend, Wheel) else ""
+    return "; ".join(filter(None, (tile.note, meaning)))
 
 
 def flat(tile: Tile) -> np.ndarray:

@@ -40,8 +40,8 @@ def say_what_is_a_guess(film: Sequence[Shot], filmed: list[Camera]) -> list[Shot
         filmed: the cameras that did.
     """
     away = angles_deg([shot.camera for shot in film], filmed)
-    said = [f"{angle:.0f}\N{DEGREE SIGN} from the nearest camera: a guess" for angle in away]
-    noted = zip(film, away, said, strict=True)
+    notes = [f"{angle:.0f}\N{DEGREE SIGN} from the nearest camera: a guess" for angle in away]
+    noted = zip(film, away, notes, strict=True)
     return [replace(shot, note=words) if angle > GUESSED_DEG else shot for shot, angle, words in noted]
 
 

@@ -213,16 +213,16 @@ def answers(scores: Scores, train_s: float | None) -> list[Answer]:
 
 def _motion(scores: Scores) -> Answer | None:
     """Return the error beside the best trivial baseline's: by EVE, which ranks, where it is known, and by DVE."""
-    dve, said = scores.dve, []
+    dve, errors = scores.dve, []
     if dve is None:
         return None
     if (eve := dve.eve) and eve.l2 is not None and (best := best_baseline(eve.baselines, "l2")):
-        said.append(("EVE", eve.l2, best[1]))
+        errors.append(("EVE", eve.l2, best[1]))
     if dve.l2 is not None and (best := best_baseline(scores.trivial_baselines, "l2")):
-        said.append(("DVE", dve.l2, best[1]))
-    if not said:
+        errors.append(("DVE", dve.l2, best[1]))
+    if not errors:
         return None
-    (name, l2, best_l2), *rest = said
+    (name, l2, best_l2), *rest = errors
     lines = [f"best trivial baseline {best_l2:.3f}: {_beaten(l2 < best_l2)}"]
     lines += [f"by {name} {l2:.3f} against {best:.3f}: {_beaten(l2 < best)}" for name, l2, best in rest]
     return Answer(f"motion error ({name} L2)", f"{l2:.3f}", tuple(lines), l2 < best_l2)

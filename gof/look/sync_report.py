@@ -56,9 +56,9 @@ def write_report(path: Path, take: FrameTimesFile, charts: Mapping[str, Chart]) 
     sigma = {c.name: max(f.sigma_us for f in times.frames) / 1000 for c, times in timed}
     worst = max(sigma, key=lambda name: sigma[name])
     estimated = [c.name for c, times in timed if times.clock != "board"]
-    said = verdict(worst, sigma[worst], speed, alignment, estimated)
+    conclusion = verdict(worst, sigma[worst], speed, alignment, estimated)
     page = template("sync_report.html").render(
-        verdict=said,
+        verdict=conclusion,
         warned=sigma[worst] * speed > BLUR_PX or bool(estimated),
         strip=data_uri(strip(moments)[..., ::-1], "png"),
         rows=[_row(c.name, times, sigma[c.name], speed) for c, times in timed],
@@ -67,7 +67,7 @@ def write_report(path: Path, take: FrameTimesFile, charts: Mapping[str, Chart]) 
     )
     with atomic_path(path) as temporary:
         temporary.write_text(page, encoding="utf-8")
-    return said
+    return conclusion
 
 
 def verdict(worst: str, sigma_ms: float, speed: float, alignment: AlignedFrames, estimated: list[str]) -> str:

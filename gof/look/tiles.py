@@ -86,14 +86,14 @@ def facts(rows: Sequence[Row]) -> dict[str, list]:
 
 
 def _fact(tile: Tile) -> dict:
-    said: dict[str, Any] = {"title": tile.title, "note": tile.note, "size": list(tile.image.shape[1::-1])}
+    fact: dict[str, Any] = {"title": tile.title, "note": tile.note, "size": list(tile.image.shape[1::-1])}
     if tile.boxes:
-        said["boxes"] = [list(box) for box in tile.boxes]
+        fact["boxes"] = [list(box) for box in tile.boxes]
     if isinstance(tile.legend, Bar):
-        said |= {"low": tile.legend.low, "high": tile.legend.high, "unit": tile.legend.unit}
+        fact |= {"low": tile.legend.low, "high": tile.legend.high, "unit": tile.legend.unit}
     elif tile.legend:
-        said |= {"longest": tile.legend.longest, "unit": tile.legend.unit}
-    return said
+        fact |= {"longest": tile.legend.longest, "unit": tile.legend.unit}
+    return fact
 
 
 def picture_tile(image: np.ndarray, title: str, note: str = "") -> Tile:

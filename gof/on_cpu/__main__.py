@@ -11,8 +11,8 @@ from gof.core.errors import GofError
 
 def main() -> int:
     """Run the script, or export what it trained; its own exit status, 1 for an error of ours."""
+    from gof.on_cpu.baseline_methods import METHODS
     from gof.on_cpu.launch import export, launch, method_of, provenance
-    from gof.on_cpu.methods import METHODS
 
     rows = [(name, f"{m.title} ({m.repository})" if m.commit else m.title) for name, m in METHODS.items()]
     listed = "\n".join(f"  {name:<10} {title}" for name, title in rows)

@@ -189,10 +189,10 @@ def _write(deformed: Deformed, settings: Namespace, iteration: int, dataset: Pat
     color = stacked.pop("color")
     swing = float(np.abs(color - color.mean(0)).max())
     Trajectory(time_s=times, velocity=np.stack(velocity), color=color.mean(0), **stacked).save(out)
-    said = f"{len(color[0])} Gaussians of iteration {iteration} at {len(times)} times written to {out}"
+    message = f"{len(color[0])} Gaussians of iteration {iteration} at {len(times)} times written to {out}"
     if swing > 0:
-        said += f"; their colours change with time (coefficients by up to {swing:.2g}) and are kept at their mean"
-    return said
+        message += f"; their colours change with time (coefficients by up to {swing:.2g}) and are kept at their mean"
+    return message
 
 
 def clock_of(trained_on: Path, count: int) -> np.ndarray:

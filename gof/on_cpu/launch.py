@@ -12,16 +12,16 @@ from types import ModuleType
 
 from gof.core.errors import GofError, MissingDependencyError
 from gof.host.processes import run
-from gof.on_cpu import gaussian_rasterizer, methods
+from gof.on_cpu import baseline_methods, gaussian_rasterizer
+from gof.on_cpu.baseline_methods import REPAIRS, BaselineMethod, replace_gsplat
 from gof.on_cpu.devices import CpuForCuda, replace_cuda
 from gof.on_cpu.imports import missing
-from gof.on_cpu.methods import REPAIRS, Method, replace_gsplat
 from gof.on_cpu.small_modules import Unused
 from gof.render import gsplat
 
 
 def launch(
-    method: Method, script: Path, arguments: list[str], curve: Path | None = None, without_lpips: bool = False
+    method: BaselineMethod, script: Path, arguments: list[str], curve: Path | None = None, without_lpips: bool = False
 ) -> None:
     """Run the script as `python SCRIPT ARGUMENTS` would. This process is not good for anything else afterwards.
 
@@ -30,11 +30,11 @@ def launch(
     Raises:
         GofError: no such script, or a module that the method needs is absent. Else whatever the script raises.
     """
-    record = Curve(curve) if curve else None
+    record = LossRecorder(curve) if curve else None
     mode = CpuForCuda(record.add if record else None)
     _begin(method, script, mode)
     if without_lpips:
-        methods.perceptual_loss_left_out()
+        baseline_methods.perceptual_loss_left_out()
     if record:
         _count_gaussians(record)
     sys.argv = [str(script), *arguments]
@@ -42,7 +42,7 @@ def launch(
         runpy.run_path(str(script), run_name="__main__")
 
 
-def export(method: Method, script: Path, model: Path, dataset: Path, out: Path) -> None:
+def export(method: BaselineMethod, script: Path, model: Path, dataset: Path, out: Path) -> None:
     """Write a trained model as gof-trajectory/1, with the classes of the checkout that the script is of.
 
     Raises:
@@ -56,14 +56,14 @@ def export(method: Method, script: Path, model: Path, dataset: Path, out: Path) 
         print(method.export(model, dataset, out))
 
 
-def _begin(method: Method, script: Path, mode: CpuForCuda) -> None:
+def _begin(method: BaselineMethod, script: Path, mode: CpuForCuda) -> None:
     os.environ.setdefault("MPLBACKEND", "agg")  # otherwise matplotlib opens a window by tkinter, which may be missing
     replace_cuda(mode)
     prepare(method)
     sys.path.insert(0, str(script.parent.resolve()))  # as Python does; `gof.host.processes` has left the place empty
 
 
-def prepare(method: Method) -> None:
+def prepare(method: BaselineMethod) -> None:
     """Repairs, then stand-ins. Raises MissingDependencyError: the method's code would not find a library."""
     absent = missing({*method.needs, *(["gsplat"] if method.gsplat else [])})
     if absent:
@@ -89,7 +89,7 @@ def put(name: str, module: ModuleType) -> None:
     sys.modules[name] = module
 
 
-def _count_gaussians(record: Curve) -> None:
+def _count_gaussians(record: LossRecorder) -> None:
     """Let the curve know how many Gaussians each picture was drawn from."""
     draw = gaussian_rasterizer.rasterize
 
@@ -100,7 +100,7 @@ def _count_gaussians(record: Curve) -> None:
     gaussian_rasterizer.rasterize = gsplat.rasterize = counted
 
 
-def method_of(name: str | None, script: Path) -> Method:
+def method_of(name: str | None, script: Path) -> BaselineMethod:
     """Return a listed method by its name, or one found out by what the script imports.
 
     Raises:
@@ -108,10 +108,10 @@ def method_of(name: str | None, script: Path) -> Method:
     """
     if not script.is_file():
         raise GofError(f"{script}: no such script; give the path of a script in your checkout")
-    return methods.METHODS[name] if name else methods.by_imports(script)
+    return baseline_methods.METHODS[name] if name else baseline_methods.by_imports(script)
 
 
-def provenance(method: Method, script: Path) -> str:
+def provenance(method: BaselineMethod, script: Path) -> str:
     """Return one line: which commit of which repository this is, and whether files of it are changed."""
     folder = script.resolve().parent
 
@@ -134,7 +134,7 @@ def provenance(method: Method, script: Path) -> str:
 EVERY = 10  # steps; a line is their mean
 
 
-class Curve:
+class LossRecorder:
     """Attributes: count, the Gaussians of the last picture drawn."""
 
     def __init__(self, path: Path):

@@ -90,7 +90,7 @@ class BackgroundSettings:
         return cls(dataset.identity(POSES, *depths), **given)
 
     def claim(self, out: Path) -> None:
-        """Raises GofError: `out` holds a background made with others."""
+        """Write these options to `out`. Raises GofError: it holds a background made with others."""
         claim(out / "background.json", self, out / "background.npz")
 
 

@@ -36,14 +36,14 @@ class Captions:
 
     @classmethod
     def read(cls, folder: Path) -> Captions:
-        """The captions of a folder; none when it has no captions.json. Raises DataFormatError as `read_record`."""
+        """Read a folder's captions; none when it has no captions.json. Raises DataFormatError as `read_record`."""
         return read_record(cls, folder / FILE) if (folder / FILE).exists() else cls()
 
     def write(self, folder: Path) -> None:
         write_record(folder / FILE, self)
 
     def with_caption(self, caption: Caption) -> Captions:
-        """A picture that has one already keeps its place and gets the new text."""
+        """Return these with one more; a picture that has one already keeps its place and gets the new text."""
         if any(old.file == caption.file for old in self.images):
             return Captions(tuple(caption if old.file == caption.file else old for old in self.images))
         return Captions((*self.images, caption))

@@ -51,11 +51,11 @@ class Curve:
 
     @classmethod
     def read(cls, folder: Path) -> Curve:
-        """Raises DataFormatError: the folder has no curve.json, or it is not of this version."""
+        """Read a folder's curve. Raises DataFormatError: it has no curve.json, or one of another version."""
         return read_record(cls, folder / FILE)
 
     def with_point(self, point: CurvePoint) -> Curve:
-        """`point` comes last; those at its step and after it, of a run that was interrupted, are dropped."""
+        """Return it with `point` last; those at its step and after it, of an interrupted run, are dropped."""
         return Curve((*(p for p in self.points if p.step < point.step), point))
 
 

@@ -134,7 +134,7 @@ class FlowPrior:
         np.savez_compressed(path, features=np.array(FEATURES), mean=self.mean, deviation=self.deviation, **arrays)
 
     def correct(self, field: FlowField, metres: bool = True) -> FlowField:
-        """The same clip with the velocity of the gas, and its uncertainty, from the apparent motion.
+        """Return the same clip with the velocity of the gas, and its uncertainty, from the apparent motion.
 
         Args:
             field: fused and smoothed flow, as `seen_flow_field` makes it.

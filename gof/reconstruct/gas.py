@@ -19,7 +19,7 @@ from gof.reconstruct.voxels import FlameVoxels
 NOTHING = 1e-6  # share of known voxels and frames around a place below which nothing is known there
 
 
-def told_of_gas(gaussians: TransientGaussians, field: FlowField) -> TransientGaussians:
+def look_up_gas(gaussians: TransientGaussians, field: FlowField) -> TransientGaussians:
     """Return the same Gaussians with the gas' velocity, and its standard deviation, in the mean over their lives.
 
     A life is weighted by its temporal opacity: two nodes of Gauss and Hermite, one `t_sigma` before `t_mu` and one

@@ -47,9 +47,9 @@ def faint_flame(
 
 
 def _noise(images: np.ndarray, plate: np.ndarray, free: np.ndarray) -> float:
-    """Standard deviation of red about the plate where `free` (F, H, W) of flame, display values; flame hardly moves it.
+    """Measure red's standard deviation about the plate where `free` (F, H, W) of flame, display values.
 
-    It takes NOISE_PICTURES pictures that have a free pixel; there must be one.
+    Flame hardly moves it. It takes NOISE_PICTURES pictures that have a free pixel; there must be one.
     """
     some = np.flatnonzero(free.any((1, 2)))
     few = some[:: -(-len(some) // NOISE_PICTURES)]

@@ -21,7 +21,7 @@ from gof.host.threads import map_on_cores
 from gof.reconstruct.lit_plate import faint_flame, lit_plate
 from gof.reconstruct.methods import OURS, Method
 from gof.reconstruct.occluders import blocked_views
-from gof.reconstruct.optical_flow import Flow, dis
+from gof.reconstruct.optical_flow import FlowMethod, dis
 
 MAX_ERROR_PX = 1.0  # there and back, plus a tenth of its length: above, a flow vector is dropped
 MOVING_PX = 0.5
@@ -112,7 +112,7 @@ FrameVelocity = Callable[[dict[int, np.ndarray], np.ndarray, int], np.ndarray]
 class _Pairs:
     """Optical flow between two pictures, there and back. Both of them ask for it, so that of the last pair is kept."""
 
-    def __init__(self, flow: Flow):
+    def __init__(self, flow: FlowMethod):
         self._flow = flow
         self._pair: tuple[np.ndarray, np.ndarray] = np.empty(0), np.empty(0)
         self._flows: tuple[np.ndarray, np.ndarray] = self._pair
@@ -125,7 +125,7 @@ class _Pairs:
         return self._flows
 
 
-def checked_velocity(flow: Flow) -> FrameVelocity:
+def checked_velocity(flow: FlowMethod) -> FrameVelocity:
     """Central where both neighbours are training frames, one-sided where one is; without what does not come back."""
     pairs = _Pairs(flow)
 
@@ -150,7 +150,7 @@ def checked_velocity(flow: Flow) -> FrameVelocity:
     return velocity_at
 
 
-def velocity_ahead(flow: Flow) -> FrameVelocity:
+def velocity_ahead(flow: FlowMethod) -> FrameVelocity:
     """To the next frame (paper); from the one before, turned round, where the next is held out."""
 
     def velocity_at(pictures: dict[int, np.ndarray], times: np.ndarray, k: int) -> np.ndarray:
@@ -181,7 +181,7 @@ def flow_masks(flow: np.ndarray, frame_time_s: float) -> tuple[np.ndarray, np.nd
     return moving, np.array(grown)
 
 
-class _View(NamedTuple):
+class _CameraObservation(NamedTuple):
     """The observation of one camera; shapes as in `Observation`, without C."""
 
     times_s: np.ndarray  # (T,) of all frames of the dataset
@@ -192,7 +192,7 @@ class _View(NamedTuple):
     delivered: np.ndarray
 
 
-def _view(dataset: Dataset, camera: int, frames: np.ndarray, method: Method) -> _View:
+def _view(dataset: Dataset, camera: int, frames: np.ndarray, method: Method) -> _CameraObservation:
     static = dataset.static(camera)
     image = np.stack([dataset.image(camera, k) for k in frames])
     counts = dataset.board_weight(camera)
@@ -205,13 +205,13 @@ def _view(dataset: Dataset, camera: int, frames: np.ndarray, method: Method) -> 
         mask, plate = faint_flame(static, image, mask, unseen)
     else:
         plate = lit_plate(static, image, mask | unseen) if method.lit_plates else static
-    return _View(dataset.camera_times_s(camera), image, static, plate, mask, delivered)
+    return _CameraObservation(dataset.camera_times_s(camera), image, static, plate, mask, delivered)
 
 
 def observe(
     dataset: Dataset,
     method: Method = OURS,
-    flow: Flow = dis,
+    flow: FlowMethod = dis,
     progress: Callable[..., None] | None = None,
 ) -> Observation:
     """Read the training frames; find masks, intensity and flow of every camera in each.
@@ -261,13 +261,13 @@ def observe(
     )
 
 
-def _intensity(view: _View) -> np.ndarray:
+def _intensity(view: _CameraObservation) -> np.ndarray:
     """(F, H, W) linear light above the plate."""
     return np.stack([light_above(image, view.plate).mean(-1) for image in view.image])
 
 
 def _flow(
-    views: list[_View],
+    views: list[_CameraObservation],
     frames: np.ndarray,
     picture: Callable[[np.ndarray, np.ndarray], np.ndarray],
     velocity_at: FrameVelocity,

@@ -16,7 +16,7 @@ from gof.core.errors import DataFormatError, GofError
 FlowName = Literal["dis", "deepflow", "tvl1", "memfof"]
 
 
-class Flow(Protocol):
+class FlowMethod(Protocol):
     """A way to find optical flow."""
 
     def __call__(self, first: np.ndarray, second: np.ndarray, before: np.ndarray | None = None) -> np.ndarray:
@@ -55,7 +55,7 @@ def _grey(picture: np.ndarray) -> np.ndarray:
     return picture if picture.ndim == 2 else cv2.cvtColor(picture, cv2.COLOR_RGB2GRAY)
 
 
-def memfof(folder: Path) -> Flow:
+def memfof(folder: Path) -> FlowMethod:
     """MEMFOF (Bargatin et al. 2025), the paper's choice, on the GPU where PyTorch has one.
 
     Args:
@@ -95,7 +95,7 @@ def _rgb(picture: np.ndarray) -> np.ndarray:
     return picture if picture.ndim == 3 else np.repeat(picture[..., None], 3, -1)
 
 
-def flow_method(name: FlowName, weights: Path | None = None) -> Flow:
+def flow_method(name: FlowName, weights: Path | None = None) -> FlowMethod:
     """Return the method of that name; weights is the folder of MEMFOF's checkpoint.
 
     Raises:

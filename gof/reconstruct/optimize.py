@@ -23,7 +23,7 @@ from gof.reconstruct.needles import blunt, is_one_sided
 from gof.reconstruct.observation import Observation
 from gof.reconstruct.palette import find_palette
 from gof.reconstruct.parameters import Raw, alight, from_raw, per_gaussian, recolor, splats, to_raw
-from gof.reconstruct.surroundings import Drawn, Surroundings
+from gof.reconstruct.surroundings import DrawnView, Surroundings
 from gof.reconstruct.unseen import UnseenView, UnseenViews
 from gof.reconstruct.windows import Windows
 from gof.render import Target, l1_ssim, render_splats
@@ -101,10 +101,10 @@ class Monitor(Protocol):
     """Listeners to the optimisation while it runs."""
 
     def progress(self, done: int, total: int, note: str) -> None:
-        """Steps done, and the loss in words."""
+        """Take the count of steps done, and the loss in words."""
 
     def evaluate(self, step: int, gaussians: TransientGaussians, plates: list[np.ndarray]) -> str | None:
-        """At EVALUATE_AT and the last step; returns what to show of the held-out pictures, or None.
+        """Return what to show of the held-out pictures, at EVALUATE_AT and the last step, or None.
 
         Args: see `Surroundings.result`.
         """
@@ -223,7 +223,7 @@ class Flame:
         )
 
     def shown(self, f: int, c: int, unseen: UnseenView | None) -> Raw:
-        """The raw parameters of those that a step's views can see; the others stay as they are in this step."""
+        """Return raw parameters of those that a step's views can see; the others stay as they are in this step."""
         if self._density is not None:  # it counts in how many pictures a Gaussian is, alight or not
             return self.optimizer
         views = [(self._time_s(f, c), self.cameras[c])]
@@ -232,7 +232,7 @@ class Flame:
         rows = [alight(self.optimizer, self.voxel_size, time_s, camera) for time_s, camera in views]
         return self.optimizer.only(per_gaussian(self.optimizer), united(rows, dr.width(self.optimizer["t_mu"])))
 
-    def drawn(self, shown: Raw, f: int, c: int) -> Drawn:
+    def drawn(self, shown: Raw, f: int, c: int) -> DrawnView:
         """Camera c's view of frame f; differentiable."""
         seen = splats(shown, self.voxel_size, self._time_s(f, c), self.cameras[c])
         # Nearer than a voxel is no place for a flame Gaussian; the limit follows the unit of length.
@@ -323,8 +323,8 @@ class TrainingPictures:
         return self._outside[f, c]
 
 
-def _loss(drawn: Drawn, pictures: TrainingPictures, f: int, c: int, alpha_loss: float) -> Any:
-    """The loss of camera c's picture of frame f; a Dr.Jit tensor of one number, differentiable."""
+def _loss(drawn: DrawnView, pictures: TrainingPictures, f: int, c: int, alpha_loss: float) -> Any:
+    """Return the loss of camera c's picture of frame f; a Dr.Jit tensor of one number, differentiable."""
     loss = l1_ssim(drawn.color, pictures.target(f, c), ssim_weight=SSIM_WEIGHT)
     return loss + alpha_loss * dr.mean(drawn.share * pictures.outside(f, c))
 

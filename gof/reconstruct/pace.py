@@ -89,7 +89,7 @@ def stands(axis: FlameAxis) -> bool:
 
 
 def carried_speed(axis: FlameAxis, log_light: LogLight) -> float:
-    """The one speed along the axis that explains most of how log light changes from frame to frame, m/s.
+    """Return the one speed along the axis, m/s, that explains most of how log light changes from frame to frame.
 
     Least squares over all voxels and pairs of frames, weighted by emission (Lucas and Kanade 1981, with the flame as
     the window). Light that goes out or on in place pulls it towards 0; optical flow looks for a match.
@@ -143,7 +143,7 @@ class Pace:
 
     @classmethod
     def fit(cls, clues: Sequence[PaceClues], speed: Sequence[float]) -> Pace:
-        """The line through flames whose mean speed, m/s, is known (ridge regression; the constant is free)."""
+        """Fit the line through flames whose mean speed, m/s, is known (ridge regression; the constant is free)."""
         design = np.stack([[1, *flame.logs] for flame in clues])
         factor = np.log([true / flame.seen for true, flame in zip(speed, clues, strict=True)])
         return cls(_ridge(design, factor), _ridge(design * [1, 0, 1, 1], factor))

@@ -13,7 +13,7 @@ from pathlib import Path
 from gof.core.costs import StageLog
 from gof.core.errors import GofError
 from gof.core.files import only_run_in
-from gof.core.time_left import LEAST_S, Machine, Paces, TimeLeft, duration
+from gof.core.time_left import LEAST_S, MachineLoad, Paces, TimeLeft, duration
 from gof.dataset import Dataset
 from gof.dataset.leaks import refuse_leaked_work, refuse_leaks
 from gof.reconstruct import memory, sanity, stages
@@ -23,7 +23,7 @@ from gof.reconstruct.heldout import HeldOut
 from gof.reconstruct.methods import METHODS, Method
 from gof.reconstruct.optical_flow import flow_method
 from gof.reconstruct.presets import REST_S, seeing_s, step_ms
-from gof.reconstruct.seen import uses_flow_prior
+from gof.reconstruct.run_inputs import uses_flow_prior
 from gof.reconstruct.settings import ReconstructionSettings, Until
 from gof.reconstruct.shrink import shrink
 from gof.render.backend import kernels
@@ -64,10 +64,10 @@ def reconstruct(
         small = shrink(dataset, settings.longest_side)
         flow = flow_method(settings.flow, flow_weights)
         _require_motion(small)
-        method, machine = METHODS[settings.method], Machine.measured_now()
+        method, machine = METHODS[settings.method], MachineLoad.measured_now()
         parts = expected_parts(small, settings, method)
         left = TimeLeft(Paces.known().expected_s(parts, machine))
-        run = stages.Run(small, settings, method, flow, out, StageLog(out / "costs.json"), left)
+        run = stages.ReconstructionRun(small, settings, method, flow, out, StageLog(out / "costs.json"), left)
         _require_possible(run, anyway)
         begun_before = run.log.path.exists()
         made = _run_stages(run, until)
@@ -76,7 +76,7 @@ def reconstruct(
         return made
 
 
-def _run_stages(run: stages.Run, until: Until) -> stages.Reconstruction | None:
+def _run_stages(run: stages.ReconstructionRun, until: Until) -> stages.Reconstruction | None:
     observation = stages.see_motion(run)
     if until == "motion":
         return None
@@ -119,13 +119,13 @@ def expected_parts(dataset: Dataset, settings: ReconstructionSettings, method: M
     return seeing | {part: count * each_ms / 1e3 for part, count in steps.items()} | {"rest": REST_S}
 
 
-def _learn(parts: dict[str, float], left: TimeLeft, before: Machine) -> None:
+def _learn(parts: dict[str, float], left: TimeLeft, before: MachineLoad) -> None:
     """Keep what the parts took over what was expected of them; other programs' share is the mean of two probes.
 
     Nothing is learned from a crowded run: the probes do not say how crowded it was between them.
     """
     left.end()
-    crowded = (before.crowded * Machine.measured_now().crowded) ** 0.5
+    crowded = (before.crowded * MachineLoad.measured_now().crowded) ** 0.5
     if crowded > CROWDED:
         return
     paces = Paces.known()
@@ -134,7 +134,7 @@ def _learn(parts: dict[str, float], left: TimeLeft, before: Machine) -> None:
     paces.keep()
 
 
-def _require_possible(run: stages.Run, anyway: bool) -> None:
+def _require_possible(run: stages.ReconstructionRun, anyway: bool) -> None:
     """Say how long it will take and how much memory, and what is wrong or odd, before the time is spent.
 
     Raises GofError: an input is impossible or the memory too small, and `anyway` is not set.

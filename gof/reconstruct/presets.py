@@ -72,7 +72,7 @@ REST_S = 2.0  # files that are written at the end
 def step_ms(
     gaussians: int, frames: int, pixels: int, native: bool, all_drawn: bool = False, held: bool = False
 ) -> float:
-    """Expected ms of an optimisation step on the machine of `gof.core.time_left`.
+    """Predict the ms of an optimisation step on the machine of `gof.core.time_left`.
 
     By hand through three runs there: the sample's `toy` and `preview` and the demo took 12, 25 and 21 ms, and through
     four on a quicker machine of 36 and 50 frames; all within 13 %.

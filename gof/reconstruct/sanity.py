@@ -48,7 +48,7 @@ class Fault:
 
 
 @dataclass(frozen=True)
-class _View:
+class _CheckedView:
     """A camera and what it saw, small: static (H, W, 3), image (F, H, W, 3), mask (F, H, W)."""
 
     camera: Camera
@@ -157,15 +157,15 @@ def _digits(what: str, values: np.ndarray, least: float, remedy: str) -> Iterato
 # ---- What a few pictures say -----------------------------------------------------------------------------------------
 
 
-def _views(dataset: Dataset) -> list[_View]:
+def _views(dataset: Dataset) -> list[_CheckedView]:
     chosen = np.linspace(0, len(dataset.train_frames) - 1, FRAMES).round().astype(int)
     frames = [dataset.train_frames[i] for i in np.unique(chosen)]
     views = [_view(dataset, number, frames) for number in range(len(dataset.cameras))]
     taken = np.all([was_delivered(view.image, view.static) for view in views], axis=0)
-    return [_View(v.camera, v.static, v.image[taken], v.mask[taken]) for v in views] if taken.any() else views
+    return [_CheckedView(v.camera, v.static, v.image[taken], v.mask[taken]) for v in views] if taken.any() else views
 
 
-def _view(dataset: Dataset, number: int, frames: list[int]) -> _View:
+def _view(dataset: Dataset, number: int, frames: list[int]) -> _CheckedView:
     camera = dataset.cameras[number]
     factor = min(1.0, LONGEST_SIDE / max(camera.width, camera.height))
     size = max(1, round(camera.width * factor)), max(1, round(camera.height * factor))
@@ -178,10 +178,12 @@ def _view(dataset: Dataset, number: int, frames: list[int]) -> _View:
     counts = dataset.board_weight(number)
     if counts is not None:
         image = static + small(counts)[..., None] * (image - static)
-    return _View(camera.scaled(*size), static, image, np.stack([flame_mask(picture, static) for picture in image]))
+    return _CheckedView(
+        camera.scaled(*size), static, image, np.stack([flame_mask(picture, static) for picture in image])
+    )
 
 
-def _plates(views: list[_View]) -> Iterator[Fault]:
+def _plates(views: list[_CheckedView]) -> Iterator[Fault]:
     """Outside the fire a picture is its plate; where another camera's fits much better, they were mixed up."""
     for view in views:
         outside = ~view.mask.any(0)
@@ -197,18 +199,20 @@ def _plates(views: list[_View]) -> Iterator[Fault]:
         nearest = min(others, key=others.__getitem__, default=None)
         if own < PLATE[0]:
             continue
-        said = f"the pictures of camera '{view.camera.name}' differ from its plate by {own:.2f} outside the fire"
+        problem = f"the pictures of camera '{view.camera.name}' differ from its plate by {own:.2f} outside the fire"
         if turned < PLATE[1] * own:
-            yield Fault(f"{said}, and by {turned:.2f} from the plate turned by 180 degrees", True)
+            yield Fault(f"{problem}, and by {turned:.2f} from the plate turned by 180 degrees", True)
         elif nearest is not None and others[nearest] < PLATE[1] * own:
-            yield Fault(f"{said}, and by {others[nearest]:.2f} from that of '{nearest}': are the plates swapped?", True)
+            yield Fault(
+                f"{problem}, and by {others[nearest]:.2f} from that of '{nearest}': are the plates swapped?", True
+            )
 
 
-def _difference(view: _View, plate: np.ndarray, outside: np.ndarray) -> float:
+def _difference(view: _CheckedView, plate: np.ndarray, outside: np.ndarray) -> float:
     return float(np.median(np.abs(view.image - plate).mean(-1)[:, outside]))
 
 
-def _dark(views: list[_View]) -> dict[str, Fault]:
+def _dark(views: list[_CheckedView]) -> dict[str, Fault]:
     """By name the cameras that show no flame, or hardly any, while others do."""
     shares = {view.camera.name: float(view.mask.mean()) for view in views}
     usual = float(np.median([share for share in shares.values() if share > 0] or [0.0]))
@@ -224,7 +228,7 @@ def _dark(views: list[_View]) -> dict[str, Fault]:
     }
 
 
-def _poses(views: list[_View]) -> Iterator[Fault]:
+def _poses(views: list[_CheckedView]) -> Iterator[Fault]:
     if sum(view.mask.any() for view in views) < 2:
         return  # there is no flame; the stage that looks for it says so
     cameras = [view.camera for view in views]
@@ -256,7 +260,7 @@ def _poses(views: list[_View]) -> Iterator[Fault]:
         yield from _light(views, middle)
 
 
-def _hull(views: list[_View]) -> Iterator[Fault]:
+def _hull(views: list[_CheckedView]) -> Iterator[Fault]:
     shares = [_covered(views, f) for f in range(len(views[0].mask)) if sum(v.mask[f].any() for v in views) >= 2]
     for view, share in zip(views, np.transpose(shares) if shares else (), strict=False):
         share = share[np.isfinite(share)]
@@ -268,7 +272,7 @@ def _hull(views: list[_View]) -> Iterator[Fault]:
             )
 
 
-def _covered(views: list[_View], frame: int) -> np.ndarray:
+def _covered(views: list[_CheckedView], frame: int) -> np.ndarray:
     """(C,) share of each mask, where other cameras look, before which something stands in all views; NaN: no mask."""
     cameras, masks = [view.camera for view in views], [view.mask[frame] for view in views]
     try:
@@ -302,7 +306,7 @@ def _covered(views: list[_View], frame: int) -> np.ndarray:
     return shares
 
 
-def _light(views: list[_View], middle: np.ndarray) -> Iterator[Fault]:
+def _light(views: list[_CheckedView], middle: np.ndarray) -> Iterator[Fault]:
     for number, view in enumerate(views):
         others = views[:number] + views[number + 1 :]
         spread, change = _agreement(view, others, middle)
@@ -328,8 +332,8 @@ def _light(views: list[_View], middle: np.ndarray) -> Iterator[Fault]:
             )
 
 
-def _agreement(view: _View, others: list[_View], middle: np.ndarray) -> tuple[float, float]:
-    """The best correlations with another camera, of light over the planes and of its change; 1 where there is none.
+def _agreement(view: _CheckedView, others: list[_CheckedView], middle: np.ndarray) -> tuple[float, float]:
+    """Return the best correlations with another camera: of light over the planes, of its change; 1 without any.
 
     The best, because in a pair with a wrong camera both are wrong.
     """
@@ -340,12 +344,12 @@ def _agreement(view: _View, others: list[_View], middle: np.ndarray) -> tuple[fl
     return best[0], best[1]
 
 
-def _turned(view: _View) -> _View:
+def _turned(view: _CheckedView) -> _CheckedView:
     """By 180 degrees in the picture, with the camera as it was."""
-    return _View(view.camera, view.static[::-1, ::-1], view.image[:, ::-1, ::-1], view.mask[:, ::-1, ::-1])
+    return _CheckedView(view.camera, view.static[::-1, ::-1], view.image[:, ::-1, ::-1], view.mask[:, ::-1, ::-1])
 
 
-def _in_common_planes(a: _View, b: _View, middle: np.ndarray) -> tuple[np.ndarray, np.ndarray] | None:
+def _in_common_planes(a: _CheckedView, b: _CheckedView, middle: np.ndarray) -> tuple[np.ndarray, np.ndarray] | None:
     """(F, planes) light that each sees in bundles of planes through both centres; None where they share none."""
     baseline = b.camera.position - a.camera.position
     forward = middle - a.camera.position

@@ -67,7 +67,7 @@ class ReconstructionSettings:
     def of(
         cls, dataset: Dataset, effort: Effort, flow_weights: Path | None = None, **choices: Any
     ) -> ReconstructionSettings:
-        """Settings for a dataset with the effort of a preset; `choices` are the fields that `Effort` does not have.
+        """Choose settings for a dataset by a preset's effort; `choices` are the fields that `Effort` does not have.
 
         Where they name no scene, it is the method's.
         """

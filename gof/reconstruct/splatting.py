@@ -109,7 +109,7 @@ class _Pull:
         return cls(np.zeros(count), np.zeros(count))
 
     def add(self, frame: Frame, width: int) -> None:
-        """The gradients of a frame after the backward pass, in half picture widths (3DGS)."""
+        """Add the gradients of a frame after the backward pass, in half picture widths (3DGS)."""
         moved = np.hypot(*np.array(frame.mean2d_grad)) * width / 2
         drawn = frame.radius.numpy() > 0
         self.total[drawn] += moved[drawn]

@@ -26,15 +26,15 @@ from gof.reconstruct.background import BackgroundOptions, still_gaussians
 from gof.reconstruct.checkpoint import Spent, read_spent
 from gof.reconstruct.curve import Curve, CurveLog, CurvePoint
 from gof.reconstruct.flow_field import FlowField
-from gof.reconstruct.gas import told_of_gas
+from gof.reconstruct.gas import look_up_gas
 from gof.reconstruct.heldout import HeldOut
 from gof.reconstruct.methods import Method, rates_in_voxels
 from gof.reconstruct.observation import Observation
-from gof.reconstruct.optical_flow import Flow
+from gof.reconstruct.optical_flow import FlowMethod
 from gof.reconstruct.optimize import Schedule, Units, optimize
 from gof.reconstruct.presets import STILL_STEPS
+from gof.reconstruct.run_inputs import flow_field_of, observation_of, uses_flow_prior
 from gof.reconstruct.seeds import LIFETIME_FRAMES, lifetime_s, sample_seeds
-from gof.reconstruct.seen import flow_field_of, observation_of, uses_flow_prior
 from gof.reconstruct.settings import ReconstructionSettings
 from gof.reconstruct.shrink import enlarge
 from gof.reconstruct.surroundings import Plates, StillScene, Surroundings
@@ -44,13 +44,13 @@ from gof.render.backend import threads_for
 
 
 @dataclass(frozen=True)
-class Run:
+class ReconstructionRun:
     """Data that all stages share: the dataset at the size that is reconstructed, and where things go."""
 
     dataset: Dataset
     settings: ReconstructionSettings
     method: Method
-    flow: Flow
+    flow: FlowMethod
     out: Path
     log: StageLog
     left: TimeLeft
@@ -90,7 +90,7 @@ class Reconstruction:
 # ---- Motion: what the cameras saw, and how it moves in their pictures ------------------------------------------------
 
 
-def see_motion(run: Run) -> Observation:
+def see_motion(run: ReconstructionRun) -> Observation:
     """Pictures, masks, plates and optical flow of the training frames, changed as the ablation wants."""
     with run.log.measure("motion") as figures, progress_bar("motion", left=run.left) as progress:
         observation = observation_of(run.dataset, run.settings, run.flow, progress)
@@ -100,7 +100,7 @@ def see_motion(run: Run) -> Observation:
     return observation
 
 
-def _say_what_from(run: Run, observation: Observation) -> None:
+def _say_what_from(run: ReconstructionRun, observation: Observation) -> None:
     """Record the frames and the learned models that all later results are made from."""
     plates = [f"plates/{camera.name}.png" for camera in run.dataset.cameras]
     still = plates if run.settings.scene == "plates" else ["background.npz"]
@@ -111,8 +111,8 @@ def _say_what_from(run: Run, observation: Observation) -> None:
 # ---- Still scene: what the flame burns in, where it is not a plate ---------------------------------------------------
 
 
-def make_still_scene(run: Run, observation: Observation) -> TransientGaussians | None:
-    """Static Gaussians of the plates, in the fire's light where the method has it; None where plates are drawn."""
+def make_still_scene(run: ReconstructionRun, observation: Observation) -> TransientGaussians | None:
+    """Make static Gaussians of the plates, in the fire's light where the method has it; None where plates are drawn."""
     settings = run.settings
     if settings.scene == "plates":
         return None
@@ -126,14 +126,14 @@ def make_still_scene(run: Run, observation: Observation) -> TransientGaussians |
 
 
 def still_steps(settings: ReconstructionSettings) -> int:
-    """Steps of the still scene, at least one."""
+    """Return the steps of the still scene, at least one."""
     return max(round(STILL_STEPS * settings.iterations), 1)
 
 
 # ---- Flow field: where the flame is in space, and how fast it moves there --------------------------------------------
 
 
-def make_flow_field(run: Run, observation: Observation) -> FlowField:
+def make_flow_field(run: ReconstructionRun, observation: Observation) -> FlowField:
     """Return the flame's voxels in every frame and their velocities, corrected by the flow prior where it is used."""
     with run.log.measure("flow_field") as figures, progress_bar("flow field", left=run.left) as progress:
         field = flow_field_of(run.dataset, run.settings, observation, progress)
@@ -149,7 +149,7 @@ def make_flow_field(run: Run, observation: Observation) -> FlowField:
 
 
 def make_seeds(
-    run: Run,
+    run: ReconstructionRun,
     observation: Observation,
     still: TransientGaussians | None,
     field: FlowField,
@@ -173,7 +173,7 @@ def make_seeds(
 
 
 def fit(
-    run: Run,
+    run: ReconstructionRun,
     observation: Observation,
     still: TransientGaussians | None,
     field: FlowField,
@@ -238,7 +238,7 @@ def fit(
             seeds, observation, windows, surroundings, schedule, units, checkpoint, monitor, unseen
         )
     if method.gas_apart:
-        gaussians = ablations.change_gas(settings.ablation, gaussians, told_of_gas(gaussians, field))
+        gaussians = ablations.change_gas(settings.ablation, gaussians, look_up_gas(gaussians, field))
     return gaussians, whole(plates), curve.curve
 
 
@@ -269,7 +269,7 @@ class _Monitor:
 
 
 def save(
-    run: Run, gaussians: TransientGaussians, plates: list[np.ndarray], curve: Curve, held_out: HeldOut
+    run: ReconstructionRun, gaussians: TransientGaussians, plates: list[np.ndarray], curve: Curve, held_out: HeldOut
 ) -> Reconstruction:
     """Write the result and the plates that it is drawn over; remove what was only on the way."""
     _show(run, held_out, "5_result", "the result", gaussians, plates)
@@ -282,18 +282,23 @@ def save(
     return Reconstruction(path, len(gaussians), run.log.stages(), curve.points[-1])
 
 
-def _checkpoint(run: Run) -> Path:
+def _checkpoint(run: ReconstructionRun) -> Path:
     return run.out / "checkpoint.npz"
 
 
-def _snapshot(run: Run) -> Path:
+def _snapshot(run: ReconstructionRun) -> Path:
     return run.out / "snapshot.npz"
 
 
 def _show(
-    run: Run, held_out: HeldOut, name: str, caption: str, gaussians: TransientGaussians, plates: list[np.ndarray]
+    run: ReconstructionRun,
+    held_out: HeldOut,
+    name: str,
+    caption: str,
+    gaussians: TransientGaussians,
+    plates: list[np.ndarray],
 ) -> None:
-    """A held-out frame beside what the Gaussians make of it, where there is one."""
+    """Save a held-out frame beside what the Gaussians make of it, where there is one."""
     image = held_out.side_by_side(gaussians, plates)
     if image is not None:
         stage_images.save_image(run.out / "stages", name, f"A held-out frame, above {caption}", image)

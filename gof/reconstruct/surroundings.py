@@ -23,7 +23,7 @@ from gof.render.rasterizer import Frame, splats_at
 from gof.render.scene import columns
 
 
-class Drawn(NamedTuple):
+class DrawnView(NamedTuple):
     """A camera's view: colour planes in display values, the flame's share of each pixel, and how it was drawn.
 
     The first Gaussians of `frame` are the flame's, in their order.
@@ -44,8 +44,8 @@ class Surroundings(Protocol):
     def unknowns(self) -> dict[str, Any]:
         """Return the raw parameters that the optimisation may change, by name."""
 
-    def draw(self, flame: Splats, camera: int, near: float, unknowns: Any) -> Drawn:
-        """The camera's view with the flame in it.
+    def draw(self, flame: Splats, camera: int, near: float, unknowns: Any) -> DrawnView:
+        """Draw the camera's view with the flame in it.
 
         Args:
             near: m, Gaussians closer to the camera are not drawn.   unknowns: where those of `unknowns` are now.
@@ -58,7 +58,7 @@ class Surroundings(Protocol):
         """
 
     def result(self, flame: TransientGaussians, unknowns: Any) -> tuple[TransientGaussians, list[np.ndarray]]:
-        """The whole result, and the plates it is to be drawn over; none where it is whole.
+        """Return the whole result, and the plates it is to be drawn over; none where it is whole.
 
         C x (H, W, 3) display values, and where something stands before the flame a fourth (`gof.dataset.plates`).
         """
@@ -88,14 +88,14 @@ class Plates:
         change = self._at(camera, unknowns) - self._plates[f"{PLATE}{camera}"]
         return dr.mean(dr.squared_norm(change)) / 3 if self._move else 0.0
 
-    def draw(self, flame: Splats, camera: int, near: float, unknowns: Any) -> Drawn:
+    def draw(self, flame: Splats, camera: int, near: float, unknowns: Any) -> DrawnView:
         plate, through = self._at(camera, unknowns), self._through[camera]
         planes = [plate.x, plate.y, plate.z]
         frame = render_splats(flame, self._cameras[camera], planes, emissive=self.emissive, near=near)
         if through is None:
-            return Drawn(frame.color, frame.alpha, frame)
+            return DrawnView(frame.color, frame.alpha, frame)
         color = [dr.fma(through, drawn - still, still) for drawn, still in zip(frame.color, planes, strict=True)]
-        return Drawn(color, through * frame.alpha, frame)
+        return DrawnView(color, through * frame.alpha, frame)
 
     def result(self, flame: TransientGaussians, unknowns: Any) -> tuple[TransientGaussians, list[np.ndarray]]:
         plates = [rows(self._at(c, unknowns)).reshape(self._shape) for c in range(len(self._cameras))]
@@ -127,7 +127,7 @@ class StillScene:
     def moved(self, camera: int, unknowns: Any) -> Any:
         return 0.0
 
-    def draw(self, flame: Splats, camera: int, near: float, unknowns: Any) -> Drawn:
+    def draw(self, flame: Splats, camera: int, near: float, unknowns: Any) -> DrawnView:
         layers, view = self._layers[camera], self._cameras[camera]
         if layers.among is None:
             frame = render_splats(flame, view, background=layers.behind, near=near)
@@ -139,7 +139,7 @@ class StillScene:
             share = frame.dynamic_alpha
         through = layers.through
         color = [dr.fma(through, drawn, front) for drawn, front in zip(frame.color, layers.front, strict=True)]
-        return Drawn(color, through * share, frame)
+        return DrawnView(color, through * share, frame)
 
     def result(self, flame: TransientGaussians, unknowns: Any) -> tuple[TransientGaussians, list[np.ndarray]]:
         return TransientGaussians.concatenate([self._still, flame]), []

@@ -206,7 +206,7 @@ class _PooledView(NamedTuple):
 
 
 def _pooled_views(voxels: FlameVoxels, intensity: np.ndarray, seen: np.ndarray) -> list[_PooledView]:
-    """The views of one frame, their pixels pooled to cells of about a voxel's size. seen: (C, V) bool."""
+    """Return the views of one frame, their pixels pooled to cells of about a voxel's size. seen: (C, V) bool."""
     pixels_per_m = float(np.nanmedian(np.abs(voxels.jacobian).max((-1, -2))))
     footprint = max(1, int(np.ceil(voxels.voxel_size * pixels_per_m)))
     cells_per_row = intensity.shape[2] // footprint + 1

@@ -67,7 +67,7 @@ class UnseenViews:
     spread: np.ndarray
 
     def view(self, frame: int, camera: int) -> UnseenView:
-        """Views of a frame by each camera; rows of `time_s` and `cameras`."""
+        """Return the view of a frame from a row of `cameras`."""
         thickness = self.thickness[frame, camera].astype(np.float32).ravel()
         light, spread = (
             np.stack([np.interp(thickness, self.levels, curve) for curve in curves.T]).astype(np.float32)

@@ -16,7 +16,7 @@ from gof.render.blend import as_plane
 
 @dataclass(frozen=True)
 class _Part:
-    """Rows that a step moves: `gof.render.native.adam.Rows`, and their values, whose gradients count."""
+    """Rows that a step moves: `gof.render.native.adam.RowRuns`, and their values, whose gradients count."""
 
     rows: Any
     values: dict[str, Any]
@@ -42,7 +42,7 @@ class Adam(opt.Adam):
         super().__init__(*args, **kwargs)
 
     def only(self, names: Iterable[str], rows: np.ndarray) -> dict[str, Any]:
-        """Some rows of parameters of N rows each, by name, differentiable: the others have gradient 0 in this step.
+        """Return these rows of parameters of N rows each, by name, differentiable; others have gradient 0 in this step.
 
         Rows that a picture does not show cost nothing then: the next `step` reads and moves these rows only, as
         `mask_updates` (that must be on) does with gradients of 0. Where the native kernels run it writes to the
@@ -58,9 +58,9 @@ class Adam(opt.Adam):
         if kernels().name != "native":
             index = whole_numbers(rows)
             return {name: _gathered(self[name], index) for name in names}
-        from gof.render.native.adam import Rows, take
+        from gof.render.native.adam import RowRuns, take
 
-        self._part = _Part(Rows.of(rows), {})
+        self._part = _Part(RowRuns.of(rows), {})
         for name in names:
             value, columns = self.state[name][0], self._in_memory(name).columns[0]
             self._part.values[name] = type(value)(*take(columns, self._part.rows))
@@ -84,14 +84,14 @@ class Adam(opt.Adam):
                 self._move(key, planes, part.rows if key in part.values else None)
 
     def _count(self, key: str) -> int:
-        """Steps of a parameter, with this one."""
+        """Return a parameter's steps, with this one, and note it."""
         value, promoted, rate, (t, *moments, extra) = self.state[key]
         steps = int(t[0]) + 1
         self.state[key] = value, promoted, rate, (dr.uint32_array_t(Float)(steps), *moments, extra)
         return steps
 
     def _move(self, key: str, gradient: list[Float], rows: Any) -> None:
-        """A step of a parameter by its columns' gradients, or of these rows of it in its memory."""
+        """Move a parameter by its columns' gradients, or these rows of it in its memory."""
         from gof.render.native.adam import adam, adam_rows
 
         steps = self._count(key)

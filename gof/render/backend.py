@@ -65,7 +65,7 @@ def _obstacle_to_cuda() -> str:
     return "GOF_RENDER_BACKEND is 'cuda', but no NVIDIA GPU with its driver is found here; unset it to draw on the CPU"
 
 
-def _obstacle_to_llvm(said: str) -> str:
+def _obstacle_to_llvm(message: str) -> str:
     """Why libLLVM does not begin: first what the user has set, then what is installed, at last Dr.Jit's own words."""
     install = "Debian, Ubuntu: apt-get install libllvm19; elsewhere set DRJIT_LIBLLVM_PATH to libLLVM"
     if path := os.environ.get(LLVM_VARIABLE):
@@ -78,7 +78,7 @@ def _obstacle_to_llvm(said: str) -> str:
         memory = "; is memory limited (ulimit -v)?" if re.search("map segment|allocate memory", faults[-1]) else ""
         return f"libLLVM is installed, but {faults[-1]}{memory}"
     if found:
-        return f"libLLVM does not begin ({' '.join(said.split())[:200]})"
+        return f"libLLVM does not begin ({' '.join(message.split())[:200]})"
     return f"libLLVM was not found. {install}"
 
 
@@ -144,7 +144,7 @@ class Kernels:
 
 
 def kernels() -> Kernels:
-    """The only place that decides: $GOF_RENDER_KERNELS if it is set, else the native ones where they run.
+    """Choose the kernels, here alone: $GOF_RENDER_KERNELS if it is set, else the native ones where they run.
 
     Raises:
         GofError: the variable names neither, or forces the native ones where they cannot run.
@@ -182,7 +182,7 @@ def _obstacle_to_native() -> str | None:
 
 
 def _set_work_unit(lanes: int) -> None:
-    """Replaced below where the LLVM backend offers it."""
+    """Do nothing; replaced below where the LLVM backend offers it."""
 
 
 @contextmanager
@@ -245,7 +245,7 @@ def floats(array) -> Float:
 
 
 def whole_numbers(array) -> UInt:
-    """The same of numbers from 0 on, as an array of uint32."""
+    """Copy whole numbers from 0 on, of any shape, into a flat array of uint32."""
     return _copied(np.ascontiguousarray(array, np.uint32).reshape(-1), UInt)
 
 

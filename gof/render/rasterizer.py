@@ -186,7 +186,7 @@ def _radius(p: Projected, width: int, height: int) -> Float:
 
 
 def _crop(plane: Float, width: int, height: int) -> Float:
-    """Padded plane (whole blocks) to the image."""
+    """Cut a padded plane (whole blocks) to the image."""
     if len(plane) == width * height:
         return plane
     i, padded = dr.arange(UInt, width * height), -(-width // BLOCK) * BLOCK

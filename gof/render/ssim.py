@@ -10,7 +10,10 @@ SIGMA_PX = 1.5  # of the window (Wang et al. 2004)
 
 
 def _gaussian_window() -> list[float]:
-    """The SSIM window along one axis, normalised. The reference twin has its own, so that the tests compare the two."""
+    """Return the SSIM window along one axis, normalised.
+
+    The reference twin has its own, so that the tests compare the two.
+    """
     weights = np.exp(-0.5 * (np.arange(-REACH, REACH + 1) / SIGMA_PX) ** 2)
     return (weights / weights.sum()).tolist()
 

@@ -146,7 +146,7 @@ def test_a_linear_flow_is_its_value_at_the_centre(tmp_path):
     mean, inside = dve.expected_velocity(VelocitySequence.open(tmp_path / "v.zarr"), 1, position, scale, rotation)
     np.testing.assert_allclose(mean, linear(position, TIMES[1]), atol=1e-5)
     assert (inside == 1).all()
-    wrong = dve.Sums.of(dve.Frame(rng.uniform(1, 2, 50), 1.01 * mean, mean, inside))
+    wrong = dve.FrameSums.of(dve.ProbedFrame(rng.uniform(1, 2, 50), 1.01 * mean, mean, inside))
     assert wrong.l2 == pytest.approx(0.01) and wrong.cosine == pytest.approx(wrong.weight)
 
 

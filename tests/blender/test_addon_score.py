@@ -12,7 +12,7 @@ from gof.core.grid_writer import GridWriter
 from gof.dataset import Dataset
 from gof.evaluate import scores as gof_scores
 from gof.evaluate.sequence import dve_sequence
-from gof_blender.pure.dve import Scores
+from gof_blender.pure.dve import MotionScores
 from gof_blender.pure.score_process import Evaluation, EvaluationError
 from tests.blender.runs import in_blender
 from tests.conftest import arc, random_gaussians, write_dataset
@@ -129,7 +129,7 @@ def test_weight_outside_is_a_percentage_of_the_weight(folder, tmp_path):
     out = tmp_path / "scores.json"
     evaluate = [sys.executable, "-m", "gof", "evaluate", tmp_path / "result.npz", "--dataset", folder / "dataset"]
     subprocess.run([*map(str, evaluate), "--no-images", "--json", str(out)], check=True, capture_output=True)
-    rows = dict(Scores.read(out).rows())
+    rows = dict(MotionScores.read(out).rows())
     assert rows["Weight outside"] == "50 %"
     read = gof_scores.Scores.read(out)
     assert rows["DVE L2"] == f"{read.dve.l2:.3f}" and rows["Frames"] == str(read.dve.frames_scored)

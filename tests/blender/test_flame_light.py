@@ -10,7 +10,7 @@ from scipy.ndimage import map_coordinates
 
 from gof.dataset import Dataset
 from gof_benchmark.commands import generate
-from gof_blender.pure import similarity, soot
+from gof_blender.pure import fire_scaling, soot
 from gof_blender.pure import spec as scene_spec
 from gof_blender.pure.brightness import Brightness
 from gof_blender.pure.fuels import FUELS
@@ -89,11 +89,11 @@ def test_a_flame_is_never_brighter_by_its_size_than_a_black_body(thin):
 
 def test_constants_follow_froude_and_are_one_at_the_reference():
     fuel = FUELS["propane_high"]
-    same = similarity.scaled(fuel, similarity.REFERENCE_D_M, similarity.REFERENCE_L_M)
-    assert same.gravity == pytest.approx(similarity.LIFT)
+    same = fire_scaling.scaled(fuel, fire_scaling.REFERENCE_D_M, fire_scaling.REFERENCE_L_M)
+    assert same.gravity == pytest.approx(fire_scaling.LIFT)
     assert (same.burning_rate, same.amount) == pytest.approx((fuel.burning_rate, fuel.amount))
-    tiny = similarity.scaled(fuel, 1e-4, 1e-3)
-    assert tiny.burning_rate == similarity.MOST_RATE
+    tiny = fire_scaling.scaled(fuel, 1e-4, 1e-3)
+    assert tiny.burning_rate == fire_scaling.MOST_RATE
     whole = tiny.amount / tiny.burning_rate * (0.26 / 1e-4) ** 0.4
     assert whole == pytest.approx(fuel.amount / fuel.burning_rate), (
         "burning time follows also where Blender's rate ends"

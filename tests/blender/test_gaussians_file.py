@@ -9,7 +9,7 @@ from gof.core.datum import Datum
 from gof.core.gaussians import TransientGaussians
 from gof.core.harmonics import C0
 from gof_blender.core.errors import DataFormatError, GofError
-from gof_blender.pure.io.cloud import Clock, count, load
+from gof_blender.pure.io.cloud import CloudTiming, count, load
 from tests.plys import read_ply, write_ply
 
 N = 40
@@ -224,7 +224,7 @@ def test_ftgs_ply_against_the_library(tmp_path):
 
     file = save(gaussians(), tmp_path / "a.ftgs.ply", start_s=0.0, end_s=1.5, frames=37)
     wanted = read_result(file, ImportOptions(time_unit_s=1.5)).gaussians
-    for clock in (Clock(fps=24), Clock(fps=30, clip_s=1.5)):  # 36 steps at 24 per second are 1.5 s
+    for clock in (CloudTiming(fps=24), CloudTiming(fps=30, clip_s=1.5)):  # 36 steps at 24 per second are 1.5 s
         cloud = load(file, clock)
         for name in ("position", "velocity", "t_mu", "t_sigma", "scale", "rotation", "opacity"):
             assert np.allclose(getattr(cloud, name), getattr(wanted, name), rtol=1e-5, atol=1e-6), name
@@ -241,7 +241,7 @@ def test_ftgs_ply_without_seconds(tmp_path):
         load(file)
     file.write_bytes(file.read_bytes().replace(b"time_units normalized", b"time_units fortnights", 1))
     with pytest.raises(DataFormatError, match="fortnights; expected 1, normalized"):
-        load(file, Clock(clip_s=1.0))
+        load(file, CloudTiming(clip_s=1.0))
 
 
 def test_plain_splats_are_a_still(tmp_path):
@@ -260,7 +260,7 @@ def test_sequence_of_plys(tmp_path, as_folder):
         states[number] = gaussians()
         states[number].position[:] = rng.normal(size=(N, 3))
         files.append(plain_ply(tmp_path / f"out_v2_{number}.ply", states[number]))
-    cloud = load(tmp_path if as_folder else files, Clock(fps=10))
+    cloud = load(tmp_path if as_folder else files, CloudTiming(fps=10))
     assert len(cloud) == 3 * N == count(tmp_path)
     assert np.allclose(cloud.begin[::N], [0.3, 0.5, 1.0]) and np.allclose(cloud.end[::N], [0.5, 1.0, 1.5])
     first = slice(0, N)

@@ -15,11 +15,11 @@ from hypothesis import strategies as st
 from gof.capture import controller
 from gof.capture.controller import Board, BoardError
 from gof.capture.protocol import (
+    BoardState,
     FrameReader,
     Identity,
     ProtocolError,
     Request,
-    State,
     Status,
     encode_frame,
     encode_request,
@@ -34,23 +34,23 @@ def test_a_session_with_the_emulator(start_emulator):
     _, port = start_emulator()
     with Board(port) as board:
         assert board.identity.name == "gof-board 0.1.0 host" and board.identity.outputs == tuple(range(21))
-        assert board.status().state is State.STOPPED
+        assert board.status().state is BoardState.STOPPED
         board.set_tick(1000)
         board.arm(32767)
-        assert board.status().count == 32767 and board.status().state is State.ARMED
+        assert board.status().count == 32767 and board.status().state is BoardState.ARMED
         board.start()
         time.sleep(0.1)
         status = board.status()
-        assert status.state is State.RUNNING and status.tick_us == 1000 and 60 <= status.ticks <= 400
+        assert status.state is BoardState.RUNNING and status.tick_us == 1000 and 60 <= status.ticks <= 400
         # One count per ten ticks, through the wrap 32767 -> 0.
         assert status.count == (32767 + status.ticks // 10) % 32768 and status.phase == status.ticks % 10
         assert status.earliest_ns <= status.latest_ns and status.mean_abs_ns >= 0
         with pytest.raises(ProtocolError, match=r"refused SET_TICK.*stop"):
             board.set_tick(400)
         board.stop()
-        assert board.status().state is State.STOPPED
+        assert board.status().state is BoardState.STOPPED
         board.show_test("all_on")
-        assert board.status().state is State.TEST
+        assert board.status().state is BoardState.TEST
         assert board.self_test() == []
         with pytest.raises(BoardError, match="outside 50"):
             board.set_tick(10)
@@ -66,7 +66,7 @@ def test_bridged_strips_are_named(start_emulator):
 
 
 def test_a_boards_own_figures_are_judged():
-    good = Status(State.RUNNING, 0, 1, 1, 400, 100, -2000, 9000, 900, 0)
+    good = Status(BoardState.RUNNING, 0, 1, 1, 400, 100, -2000, 9000, 900, 0)
     assert capture_board.judge(good) == []
     late = capture_board.judge(replace(good, latest_ns=4_830_000, bad_frames=40))
     assert "up to 4830 us off" in late[0] and "40 damaged requests" in late[1]
@@ -92,7 +92,7 @@ def test_line_noise_between_requests_is_survived(start_emulator):
     with Board(port) as board:
         for noise in (b"\xff" * 500, b"\0\1\2\0\0", os.urandom(300)):
             board._line.write(noise)
-            assert board.status().state is State.STOPPED
+            assert board.status().state is BoardState.STOPPED
         assert board.status().bad_frames > 0
 
 
@@ -233,7 +233,7 @@ class BootingBoard:
         tty.setraw(client)
         self.port, self.ready_s, self.zero_first = os.ttyname(client), ready_s, zero_first
         os.close(client)
-        self.state, self._closing = State.STOPPED, False
+        self.state, self._closing = BoardState.STOPPED, False
         self._thread = threading.Thread(target=self._serve, daemon=True)
         self._thread.start()
 
@@ -248,7 +248,7 @@ class BootingBoard:
                 time.sleep(0.005)
                 continue
             if opened is None:
-                opened, self.state = time.monotonic(), State.STOPPED
+                opened, self.state = time.monotonic(), BoardState.STOPPED
                 os.write(self.master, BOOT_LOG)
             if time.monotonic() - opened < self.ready_s:
                 continue
@@ -257,7 +257,7 @@ class BootingBoard:
                 if payload[2] == Request.IDENTIFY:
                     body = bytes([5, 15, 2, 10]) + struct.pack("<I", (1 << 21) - 1) + b"gof-board emulated"
                 elif payload[2] == Request.START:
-                    self.state = State.RUNNING
+                    self.state = BoardState.RUNNING
                 elif payload[2] == Request.STATUS:
                     body = struct.pack("<BBIIIIiiII", self.state, 0, 7, 7, 400, 0, 0, 0, 0, 0)
                 reply = encode_frame(bytes([1, payload[1], payload[2] | 0x80, 0]) + body)

@@ -17,7 +17,7 @@ from gof.evaluate.scores import Agreement, EveFigures, FrameScore, PictureScore,
 from gof.evaluate.suite_board import Figure, ScoredScene, SuiteBoard, board, difference, too_good
 from gof.evaluate.training_curve import TrainingCurve
 from gof.look.boards import marks_of, remark, suite_html, suite_markdown
-from gof.on_cpu.launch import Curve
+from gof.on_cpu.launch import LossRecorder
 
 GOLDEN = Scores.read(Path(__file__).parents[1] / "golden/gof-scores.json")
 FRAMES = 36
@@ -308,7 +308,7 @@ def test_a_curve_that_is_none_is_refused(tmp_path, text, named):
 
 
 def test_a_curve_that_gof_baseline_wrote_is_read(tmp_path):
-    written = Curve(tmp_path / "curve.csv")
+    written = LossRecorder(tmp_path / "curve.csv")
     for loss in np.linspace(1, 0.5, 30):
         written.add(loss)
     assert TrainingCurve.read(tmp_path / "curve.csv").step == (10, 20, 30)

@@ -7,7 +7,7 @@ from gof.core.errors import DataFormatError
 from gof.core.fields import VelocityField, VelocitySequence
 from gof.core.fire import Hearth
 from gof_benchmark.fires import how_real
-from gof_benchmark.fires.measured import NIST, SANDIA, WATERLOO, Flow, compare, read_database
+from gof_benchmark.fires.measured import NIST, SANDIA, WATERLOO, SimulatedFlow, compare, read_database
 from tests.solvers.conftest import write_small_fire
 
 HEADER = "z (cm),r (cm),u-bar (m/s),u-rms (m/s),v-bar (m/s),v-rms (m/s),T-bar (K),T-rms (K)\n"  # as MaCFP writes it
@@ -42,7 +42,7 @@ def read_only(copy):
 
 
 @pytest.fixture(scope="module")
-def flow(tmp_path_factory) -> Flow:
+def flow(tmp_path_factory) -> SimulatedFlow:
     cell, shape = 0.01, (40, 40, 32)
     matrix = np.diag([cell, cell, cell, 1.0])
     matrix[:3, 3] = MOUTH - [0.2, 0.2, 0.04]
@@ -56,7 +56,7 @@ def flow(tmp_path_factory) -> Flow:
         velocity[..., 0] = 7.0  # sideways: not asked for
         fields.append(VelocityField(velocity, matrix, 0.01 * k))
     path = tmp_path_factory.mktemp("flow") / "velocity.zarr"
-    return Flow(VelocitySequence.create(path, fields), MOUTH)
+    return SimulatedFlow(VelocitySequence.create(path, fields), MOUTH)
 
 
 def test_a_flow_is_equal_to_its_own_mean_and_rms(tmp_path, flow):
@@ -80,7 +80,7 @@ def test_a_wobble_of_the_axis_counts_as_fluctuation(tmp_path):
     velocity = np.zeros((40, 40, 32, 3), np.float32)
     velocity[..., 2] = 1 + (0.01 * (np.arange(40) + 0.5) - 0.2)[:, None, None]
     fields = [VelocityField(velocity, matrix, t) for t in (0.0, 0.1)]
-    flow = Flow(VelocitySequence.create(tmp_path / "velocity.zarr", fields), np.zeros(3))
+    flow = SimulatedFlow(VelocitySequence.create(tmp_path / "velocity.zarr", fields), np.zeros(3))
     (tmp_path / "Mean_and_rms_values_z6cm.csv").write_text(HEADER + f"6,8,1,{0.08 / np.sqrt(2)},0,0,0,0\n")
     found = compare(flow, read_only(tmp_path))
     assert found.mean_error < 1e-6 and found.rms_ratio == pytest.approx(1, abs=1e-4)
@@ -99,7 +99,7 @@ def test_the_energy_of_all_components_is_compared_where_it_was_measured(tmp_path
         velocity[..., 1] = ((-1) ** (k // 2) * 0.4 * y / radius + x)[..., None]
         velocity[..., 2] = 2 + (-1) ** k * 0.3
         fields.append(VelocityField(velocity, matrix, 0.1 * k))
-    flow = Flow(VelocitySequence.create(tmp_path / "velocity.zarr", fields), np.zeros(3))
+    flow = SimulatedFlow(VelocitySequence.create(tmp_path / "velocity.zarr", fields), np.zeros(3))
     (tmp_path / SANDIA).mkdir(parents=True)
     for height in ("p3", "p9"):
         file = tmp_path / SANDIA / f"Sandia_CH4_1m_Test24_{height}.csv"

@@ -5,7 +5,7 @@ import pytest
 from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
 
-from gof.ingest.bundle import Sightings, State, adjust
+from gof.ingest.bundle import BundleParameters, Sightings, adjust
 from tests.ingest.scene import cameras, pose_errors
 
 
@@ -32,7 +32,7 @@ def start_away(rig, points, degrees, seed=1):
         swing[:3, :3] = Rotation.from_euler("z", angle, degrees=True).as_matrix()
         poses[k] = poses[k] @ swing
     rng = np.random.default_rng(seed)
-    return State(poses, np.eye(4)[None], points + rng.normal(0, 0.03, points.shape))
+    return BundleParameters(poses, np.eye(4)[None], points + rng.normal(0, 0.03, points.shape))
 
 
 @pytest.mark.parametrize("degrees", [1.0, 5.0])
@@ -56,7 +56,7 @@ def test_mismatches_hardly_pull(offset):
     start = start_away(rig, points, 2.0)
     away = np.eye(4)
     away[0, 3] = offset  # the board stays at 0 of its own axes; the world is elsewhere
-    moved = State(start.cameras @ np.linalg.inv(away), away @ start.bodies, start.points + away[:3, 3])
+    moved = BundleParameters(start.cameras @ np.linalg.inv(away), away @ start.bodies, start.points + away[:3, 3])
     found = adjust(moved, seen, np.stack([c.K for c in rig]))
     angle, shift = pose_errors(found.cameras, [c.world_to_camera for c in rig])
     assert angle < 1 and shift < 0.03  # least squares: 10 degrees and more
@@ -106,7 +106,9 @@ def test_two_boards_keep_their_shape_and_find_their_place():
     start = start_away(rig, points, 2.0)
     rough = place.copy()
     rough[:3, 3] += [0.02, -0.02, 0.01]
-    found = adjust(State(start.cameras, np.stack([np.eye(4), rough]), start.points), both, np.stack([c.K for c in rig]))
+    found = adjust(
+        BundleParameters(start.cameras, np.stack([np.eye(4), rough]), start.points), both, np.stack([c.K for c in rig])
+    )
     np.testing.assert_allclose(np.linalg.inv(found.bodies[0]) @ found.bodies[1], place, atol=1e-5)
 
 
@@ -116,7 +118,9 @@ def test_a_point_behind_a_camera_stays_finite():
     points = points.copy()
     points[0] = 2 * rig[0].position
     found = adjust(
-        State(np.array([c.world_to_camera for c in rig]), np.eye(4)[None], points), seen, np.stack([c.K for c in rig])
+        BundleParameters(np.array([c.world_to_camera for c in rig]), np.eye(4)[None], points),
+        seen,
+        np.stack([c.K for c in rig]),
     )
     assert np.isfinite(found.points).all() and np.isfinite(found.cameras).all()
     angle, _ = pose_errors(found.cameras, [c.world_to_camera for c in rig])

@@ -10,7 +10,7 @@ from gof.core.errors import DataFormatError, GofError
 from gof.core.trajectory import Trajectory
 from gof.dataset import Dataset
 from gof.io.importers import ImportOptions, read_result
-from gof.io.importers.sidecar import with_said
+from gof.io.importers.sidecar import with_sidecar
 from tests.conftest import random_gaussians
 from tests.io.motions import moved_camera, similarity, trained
 
@@ -94,7 +94,7 @@ def test_a_flame_alone_stays_one(tmp_path, name):
     path, _ = lookalikes.authors(tmp_path / "model")
     out = tmp_path / name
     assert main([str(path), str(out), "--flame-only"]) == 0
-    options, _ = with_said(out, ImportOptions())
+    options, _ = with_sidecar(out, ImportOptions())
     assert options.flame_only and read_result(out, options).flame_only
     assert main([str(path), str(out), "--overwrite"]) == 0, "and no longer where it is not said"
-    assert not with_said(out, ImportOptions())[0].flame_only
+    assert not with_sidecar(out, ImportOptions())[0].flame_only

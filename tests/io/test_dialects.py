@@ -557,7 +557,7 @@ FTGS_SAYS = {
 def test_what_an_ftgs_ply_says_of_itself(tmp_path, door, name):
     """A clip of 1 s (11 frames, 0.1 s apart) in which it moves 3 m a clip."""
     from gof.io.importers import ImportOptions, read_result
-    from gof_blender.pure.io.cloud import Clock, load
+    from gof_blender.pure.io.cloud import CloudTiming, load
 
     said, expected = FTGS_SAYS[name]
     comments = dict(line.split() for line in [*FTGS.split("|"), *filter(None, said.split("|"))])
@@ -570,7 +570,7 @@ def test_what_an_ftgs_ply_says_of_itself(tmp_path, door, name):
     def speed() -> float:
         if door == "gof":
             return read_result(path, ImportOptions(frame_time_s=0.1)).gaussians.velocity[0, 0]
-        return load(path, Clock(fps=10)).velocity[0, 0]
+        return load(path, CloudTiming(fps=10)).velocity[0, 0]
 
     if isinstance(expected, float):
         assert speed() == pytest.approx(expected)

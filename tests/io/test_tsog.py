@@ -227,7 +227,7 @@ def test_damage_is_an_error_or_a_result_and_no_fault(tmp_path):
 def test_too_many_sets_of_harmonics_are_rounded_to_fit(monkeypatch):
     monkeypatch.setattr(tsog, "PALETTE", 8)
     sh = np.random.default_rng(0).normal(0, 0.3, (40, 3, 3))
-    found = tsog._Pictures(40).harmonics(sh)
+    found = tsog._PictureWriter(40).harmonics(sh)
     assert found["count"] <= 8 and found["bands"] == 1
 
 

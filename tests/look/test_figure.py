@@ -24,7 +24,7 @@ from gof.look.paper import GAP_IN, write_sheet
 from gof.look.tiles import Bar, Box, Tile, Wheel, depth_tile
 from gof.look.velocity import arrows
 from gof.reconstruct import pipeline
-from gof.reconstruct.seen import see_again
+from gof.reconstruct.run_inputs import recompute_inputs
 from gof.reconstruct.settings import ReconstructionSettings
 from gof.render import render
 from tests.conftest import arc, look_at, random_gaussians, write_dataset
@@ -154,7 +154,7 @@ def made(tmp_path_factory):
 @pytest.fixture(scope="module")
 def shown(made) -> Modalities:
     dataset = Dataset.open(made / "data")
-    return modalities(dataset, see_again(dataset, made / "run"), Sources(made / "run"), 1, 2)
+    return modalities(dataset, recompute_inputs(dataset, made / "run"), Sources(made / "run"), 1, 2)
 
 
 def tile(shown: Modalities, title: str) -> Tile:
@@ -214,7 +214,7 @@ def test_the_results_tile_is_the_renderers_picture(made, shown):
 def test_what_is_seen_again_is_what_the_run_saw(made):
     """The run has left pictures of its mask and flow; those of the second look are the same."""
     dataset = Dataset.open(made / "data")
-    seen = see_again(dataset, made / "run")
+    seen = recompute_inputs(dataset, made / "run")
     left = cv2.imread(str(made / "run/stages/1_masks.png"))[..., ::-1] / 255
     f = len(seen.observation.frames) // 2
     again = seen.observation.image[f] * (0.25 + 0.75 * seen.observation.mask[f][..., None])

@@ -25,7 +25,7 @@ from gof.look.images import VIRIDIS, ramp
 from gof.look.player.live import Live, serve
 from gof.look.player.opened import newest, open_result
 from gof.look.player.page import share_page
-from gof.look.player.quantise import Column, Packed, unpack
+from gof.look.player.quantise import Packed, PackedColumn, unpack
 from gof.render import render
 from tests.browser import Browser, chromium
 from tests.conftest import look_at, random_gaussians
@@ -64,7 +64,7 @@ def content(page: str) -> dict:
 def gaussians_in(result: dict) -> TransientGaussians:
     """Gaussians of the JSON, as the page reads them."""
     header = result["header"]
-    columns = [Column(**{k: v for k, v in one.items() if k != "steps"}) for one in header["columns"]]
+    columns = [PackedColumn(**{k: v for k, v in one.items() if k != "steps"}) for one in header["columns"]]
     return unpack(Packed(header["count"], columns, base64.b64decode(result["data"]), header["emissive"]))
 
 

@@ -7,9 +7,9 @@ import pytest
 
 from gof.core.gaussians import TransientGaussians
 from gof.dataset import Dataset
-from gof.reconstruct import seen
+from gof.reconstruct import run_inputs
 from gof.reconstruct.flow_prior import VOXELS
-from gof.reconstruct.gas import gas_at, told_of_gas, with_gas_of
+from gof.reconstruct.gas import gas_at, look_up_gas, with_gas_of
 from gof.reconstruct.optical_flow import dis
 from gof.reconstruct.settings import ReconstructionSettings
 from gof.reconstruct.shrink import shrink
@@ -98,19 +98,19 @@ def test_a_life_is_heard_from_its_beginning_to_its_end(field):
     """A velocity that grows as the square of the time, and a Gaussian that is carried up: the mean over its life."""
     sigma, rise, middle = FRAME, 1.0, np.array([[0.0, 0.0, 5 * VOXEL]])
     squared = [replace(f, velocity=f.velocity + (0, 0, 1e4 * f.time_s**2)) for f in field.frames]
-    told = told_of_gas(
+    told = look_up_gas(
         gaussians_at(middle, [2 * FRAME], velocity=(0, 0, rise), t_sigma=sigma), replace(field, frames=tuple(squared))
     )
     expected = linear(middle, [2 * FRAME])[0] + (0, 0, 1e4 * ((2 * FRAME) ** 2 + sigma**2))
     np.testing.assert_allclose(told.gas_velocity[0], expected, rtol=1e-5)
-    forever = told_of_gas(gaussians_at(middle, [2 * FRAME], t_sigma=np.inf), field)
+    forever = look_up_gas(gaussians_at(middle, [2 * FRAME], t_sigma=np.inf), field)
     np.testing.assert_allclose(forever.gas_velocity, linear(middle, [2 * FRAME]), rtol=1e-5)
 
 
 def test_nobody_saw_what_comes_after_the_clip(field):
     """Brightest in the last frame, it is heard there and before, not on its way to where it would have gone."""
     end, place = FRAME * (FRAMES - 1), np.array([[0.0, 0.0, 5 * VOXEL]])
-    told = told_of_gas(gaussians_at(place, [end], velocity=(0, 0, 100.0), t_sigma=1e-3), field)
+    told = look_up_gas(gaussians_at(place, [end], velocity=(0, 0, 100.0), t_sigma=1e-3), field)
     expected = (linear(place, [end]) + linear(place - [0, 0, 0.1], [end - 1e-3])) / 2
     np.testing.assert_allclose(told.gas_velocity, expected, rtol=1e-5)
 
@@ -118,10 +118,10 @@ def test_nobody_saw_what_comes_after_the_clip(field):
 def test_who_left_the_flame_keeps_what_it_says_and_what_is_still_rests(field):
     place, time_s = places(field, 3)
     place[1] += 10.0
-    told = told_of_gas(gaussians_at(place, time_s), field)
+    told = look_up_gas(gaussians_at(place, time_s), field)
     np.testing.assert_allclose(told.gas_velocity[[0, 2]], linear(place, time_s)[[0, 2]], rtol=1e-5)
     assert (told.gas_velocity[1] == 77).all() and told.velocity_sd[1] == 7
-    still = told_of_gas(gaussians_at(place, time_s, dynamic=False), field)
+    still = look_up_gas(gaussians_at(place, time_s, dynamic=False), field)
     assert (still.gas_velocity == 0).all() and (still.velocity_sd == 7).all()
 
 
@@ -176,13 +176,13 @@ def test_the_prior_is_asked_on_its_own_voxels_whatever_the_others_are(rising_fla
         size = np.full(3, field.voxels.voxel_size)
         return changed(field, velocity=lambda v: 0 * v + size, velocity_sd=np.zeros_like)
 
-    monkeypatch.setattr(seen.FlowPrior, "correct", correct)
+    monkeypatch.setattr(run_inputs.FlowPrior, "correct", correct)
     dataset = shrink(Dataset.open(rising_flame), 96)
     heard = []
     for voxels in (VOXELS, 24):
         settings = ReconstructionSettings("flame", iterations=5, gaussians=300, voxels=voxels, longest_side=96)
-        observation = seen.observation_of(dataset, settings, dis)
-        made = seen.flow_field_of(dataset, settings, observation, lambda done, total: heard.append((done, total)))
+        observation = run_inputs.observation_of(dataset, settings, dis)
+        made = run_inputs.flow_field_of(dataset, settings, observation, lambda done, total: heard.append((done, total)))
         assert made.voxels.voxel_size == pytest.approx(asked[0] * VOXELS / voxels, rel=0.1)
         frame = made.frames[2]
         sure = np.isfinite(frame.velocity_sd)

@@ -8,7 +8,7 @@ import pytest
 from gof.core.errors import MissingDependencyError
 from gof.core.fire import FireDescription, Hearth
 from gof_benchmark.solvers.grids import FireFrame, FireGrids, FireHistory, write_fire
-from gof_benchmark.solvers.openfoam.foam_fire import Burner, FoamFire
+from gof_benchmark.solvers.openfoam.foam_fire import FoamBurner, FoamFire
 from gof_benchmark.solvers.openfoam.run import Installation, find_installation
 
 
@@ -16,7 +16,7 @@ def toy_fire(**changes) -> FoamFire:
     """A pool fire of some thousand cells."""
     settings = {
         "name": "toy",
-        "burners": (Burner(20.0, 0.2),),
+        "burners": (FoamBurner(20.0, 0.2),),
         "core_low_m": (-0.2, -0.2, 0.0),
         "core_high_m": (0.2, 0.2, 0.5),
         "domain_low_m": (-0.5, -0.5, 0.0),

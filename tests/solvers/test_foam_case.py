@@ -22,7 +22,7 @@ from gof_benchmark.solvers.openfoam.case import (
     write_dictionary,
     write_fields,
 )
-from gof_benchmark.solvers.openfoam.foam_fire import FIRES, Burner, FoamFire, find_fire, growing
+from gof_benchmark.solvers.openfoam.foam_fire import FIRES, FoamBurner, FoamFire, find_fire, growing
 from tests.solvers.conftest import toy_fire
 
 pytestmark = pytest.mark.long
@@ -54,11 +54,11 @@ def test_the_shipped_fires_differ_and_fit_their_meshes():
 
 
 def test_heat_sets_the_flow_of_fuel():
-    burner = Burner(50.03, 0.1, shape="round")
+    burner = FoamBurner(50.03, 0.1, shape="round")
     fire = toy_fire()
     assert burner.mass_flow(fire.gas) == pytest.approx(1e-3, rel=1e-3)
     assert burner.speed(fire.gas) * burner.area_m2 * fire.gas.density == pytest.approx(1e-3, rel=1e-3)
-    assert Burner(1, 0.2).diameter_m == pytest.approx(0.2257, abs=1e-4)
+    assert FoamBurner(1, 0.2).diameter_m == pytest.approx(0.2257, abs=1e-4)
 
 
 @pytest.mark.parametrize(("first", "length"), [(0.01, 0.5), (0.05, 0.06), (0.05, 0.05), (0.1, 0.03), (0.0125, 2.0)])
@@ -91,8 +91,8 @@ def test_the_seed_draws_the_air_and_nothing_else():
     ("change", "says"),
     [
         ({"burners": ()}, "burners"),
-        ({"burners": (Burner(-1, 0.1),)}, "heat and size"),
-        ({"burners": (Burner(10, 0.5),)}, "leaves the core"),
+        ({"burners": (FoamBurner(-1, 0.1),)}, "heat and size"),
+        ({"burners": (FoamBurner(10, 0.5),)}, "leaves the core"),
         ({"core_low_m": (-0.6, -0.2, 0.0)}, "inside the domain"),
         ({"domain_low_m": (-0.5, -0.5, -0.1)}, "z = 0"),
         ({"cell_m": (0.2, 0.2, 0.2)}, "4 cells"),
@@ -108,7 +108,7 @@ def test_a_fire_that_cannot_be_is_refused_by_name(change, says):
 
 def test_cells_too_large_for_a_burner_are_refused(tmp_path):
     with pytest.raises(DataFormatError, match="burner 0"):
-        write_case(toy_fire(burners=(Burner(10, 0.03),)), tmp_path, "fine")
+        write_case(toy_fire(burners=(FoamBurner(10, 0.03),)), tmp_path, "fine")
 
 
 def test_wind_comes_in_leaves_and_slides_along(tmp_path):

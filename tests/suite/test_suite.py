@@ -10,7 +10,7 @@ import pytest
 from gof.core.errors import DataFormatError, GofError
 from gof.core.records import read_record
 from gof.dataset import Dataset
-from gof.dataset.pack import Truth
+from gof.dataset.pack import VelocityFingerprint
 from gof_benchmark import suite
 from gof_benchmark.commands import benchmark, benchmark_list
 from gof_benchmark.suite import SIZES, pick, scenes_of
@@ -164,4 +164,4 @@ def test_recorded_truths():
     assert set(recorded.fires) == set(by_fire), "every fire has been made in the standard size"
     for fire, sizes in recorded.fires.items():
         assert len(sizes["standard"].rms_m_s) == by_fire[fire].spec.clip.frames
-        assert isinstance(sizes["standard"], Truth) and min(sizes["standard"].rms_m_s) > 0
+        assert isinstance(sizes["standard"], VelocityFingerprint) and min(sizes["standard"].rms_m_s) > 0

@@ -7,7 +7,7 @@ import pytest
 from gof.core.gaussians import TransientGaussians
 from gof.dataset import Dataset
 from gof_benchmark.evidence.real_clips import believing, carried_along_flow, figures, mean_of_neighbours
-from gof_benchmark.evidence.real_depth import Drawn, HeldOutView, scores, what_is_drawn
+from gof_benchmark.evidence.real_depth import HeldOutView, ScoredParts, scores, what_is_drawn
 from tests.conftest import arc, look_at, write_dataset
 from tests.reconstruct.rising_flame import DT, write_flame
 
@@ -82,7 +82,7 @@ def test_how_far_off_a_flame_stands(nearer):
     depth = np.full((61, 61), 6.0)
     depth[16:45, 16:45] = 4.0
     moment = HeldOutView(CAMERA, 0.0, where, depth, 1 / depth)
-    error, off = scores(Drawn(TransientGaussians.concatenate([wall, flame]), flame), moment)
+    error, off = scores(ScoredParts(TransientGaussians.concatenate([wall, flame]), flame), moment)
     assert off == pytest.approx(abs(nearer), abs=2e-3)
     assert error < 0.02, "a scale and an offset always fit two distances: why `off` is printed too"
 
@@ -92,10 +92,10 @@ def test_a_wall_alone_is_no_flame():
     where = np.zeros((61, 61), bool)
     where[19:42, 19:42] = True
     moment = HeldOutView(CAMERA, 0.0, where, np.full((61, 61), 4.0), np.full((61, 61), 1 / 4))
-    assert scores(Drawn(wall, wall), moment)[1] == pytest.approx(0.5, abs=2e-3)
-    assert np.isnan(scores(Drawn(wall, nothing), moment)[1]), "what is hardly there stands nowhere"
+    assert scores(ScoredParts(wall, wall), moment)[1] == pytest.approx(0.5, abs=2e-3)
+    assert np.isnan(scores(ScoredParts(wall, nothing), moment)[1]), "what is hardly there stands nowhere"
     assert np.isnan(
-        scores(Drawn(wall, wall), HeldOutView(CAMERA, 0.0, where & False, moment.depth, moment.disparity))
+        scores(ScoredParts(wall, wall), HeldOutView(CAMERA, 0.0, where & False, moment.depth, moment.disparity))
     ).all()
 
 

@@ -11,7 +11,7 @@ torch = pytest.importorskip("torch")
 from gof.reconstruct.flow_prior import FEATURES, VECTORS, evaluate_network  # noqa: E402
 from gof.reconstruct.pace import PaceClues  # noqa: E402
 from gof_benchmark.training.flow_prior import (  # noqa: E402
-    Samples,
+    LitVoxels,
     Scaling,
     TrainingFlame,
     fitted_pace,
@@ -22,14 +22,14 @@ from gof_benchmark.training.flow_prior import (  # noqa: E402
 )
 
 
-def samples(count: int = 4000, seed: int = 0) -> Samples:
+def samples(count: int = 4000, seed: int = 0) -> LitVoxels:
     """Gas that moves at twice its first vector where its first feature is positive, and rests elsewhere."""
     generator = torch.Generator().manual_seed(seed)
     features = torch.randn(count, len(FEATURES), generator=generator)
     vectors = torch.randn(count, VECTORS, 3, generator=generator)
     truth = 2 * vectors[:, 0] * (features[:, :1] > 0)
     one = torch.ones(count)
-    return Samples(features, vectors, truth, one, one / (truth**2).sum(-1).mean())
+    return LitVoxels(features, vectors, truth, one, one / (truth**2).sum(-1).mean())
 
 
 def test_a_velocity_of_zero_costs_two_and_the_truth_nothing():
@@ -42,7 +42,7 @@ def test_a_velocity_of_zero_costs_two_and_the_truth_nothing():
 
 def test_every_flame_counts_alike():
     large, small = samples(4000), samples(40)
-    both = Samples.joined([large, small])
+    both = LitVoxels.joined([large, small])
     assert float(both.weight[:4000].sum()) == pytest.approx(float(both.weight[4000:].sum()), rel=1e-5)
 
 
@@ -76,9 +76,9 @@ def test_uncertainty_is_the_spread_of_the_errors():
     errors = [
         torch.randn(len(f), 3, generator=torch.Generator().manual_seed(9)) * spread(f.features)[:, None] for f in flames
     ]
-    uncertainty = train_uncertainty(Scaling.of(Samples.joined(flames)), flames, errors, steps=600)
+    uncertainty = train_uncertainty(Scaling.of(LitVoxels.joined(flames)), flames, errors, steps=600)
     unseen = replace(samples(seed=3), features=samples(seed=3).features)
-    scaled = Scaling.of(Samples.joined(flames))(unseen.features).numpy()
+    scaled = Scaling.of(LitVoxels.joined(flames))(unseen.features).numpy()
     sd = np.exp(evaluate_network(uncertainty, scaled)[0, :, 0])
     wide = unseen.features[:, 1].numpy() > 0.3
     narrow = unseen.features[:, 1].numpy() < -0.3

@@ -15,7 +15,7 @@ from gof.core.errors import DataFormatError
 from gof.core.files import atomic_path
 from gof_benchmark.solvers.openfoam import chemistry
 from gof_benchmark.solvers.openfoam.chemistry import AMBIENT_K, AMBIENT_PA, OXYGEN_IN_AIR
-from gof_benchmark.solvers.openfoam.foam_fire import Burner, FoamFire, Vector
+from gof_benchmark.solvers.openfoam.foam_fire import FoamBurner, FoamFire, Vector
 
 END = "// * //\n"  # OpenFOAM's own files end in a line like this; a file that was cut off lacks it
 
@@ -145,7 +145,7 @@ def _burner_faces(fire: FoamFire, i: int) -> dict[str, Any]:
     return common | {"source": "boxToFace", "box": f"({x - half} {y - half} {-thin}) ({x + half} {y + half} {thin})"}
 
 
-def _reach(burner: Burner) -> float:
+def _reach(burner: FoamBurner) -> float:
     """Half its size, m; a little more, so that faces centred on its edge belong to it whatever the rounding."""
     return burner.size_m / 2 * (1 + 1e-6)
 

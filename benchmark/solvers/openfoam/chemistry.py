@@ -21,7 +21,7 @@ FuelName = Literal["methane", "propane"]
 
 
 @dataclass(frozen=True)
-class Fuel:
+class Hydrocarbon:
     """A hydrocarbon C_n H_m that burns in one step: C_n H_m + (n + m/4) O2 -> n CO2 + m/2 H2O."""
 
     species: str
@@ -55,7 +55,7 @@ class Fuel:
         return fuel + carbon_dioxide * MOLAR_MASS[self.species] / (self.carbon * MOLAR_MASS["CO2"])
 
 
-FUELS: dict[str, Fuel] = {"methane": Fuel("CH4", 1, 4), "propane": Fuel("C3H8", 3, 8)}
+FUELS: dict[str, Hydrocarbon] = {"methane": Hydrocarbon("CH4", 1, 4), "propane": Hydrocarbon("C3H8", 3, 8)}
 
 # Species: (above 1000 K, below 1000 K), seven NASA coefficients each.
 NASA = {
@@ -99,12 +99,12 @@ def enthalpy(species: str, temperature_k: float = 298.15) -> float:
     return GAS_CONSTANT * (sum(a[i] * t ** (i + 1) / (i + 1) for i in range(5)) + a[5])
 
 
-def species_of(fuel: Fuel) -> list[str]:
+def species_of(fuel: Hydrocarbon) -> list[str]:
     """Return every gas of the mixture; nitrogen, which OpenFOAM takes as what remains, last."""
     return ["O2", "H2O", fuel.species, "CO2", "N2"]
 
 
-def reactions(fuel: Fuel) -> dict[str, Any]:
+def reactions(fuel: Hydrocarbon) -> dict[str, Any]:
     """OpenFOAM's reactions file: the one step, nitrogen carried along in the proportion of air."""
     nitrogen = fuel.oxygen * MOLAR_MASS["O2"] / OXYGEN_IN_AIR * (1 - OXYGEN_IN_AIR) / MOLAR_MASS["N2"]
     left = f"{fuel.species} + {fuel.oxygen:g}O2 + {nitrogen:.6g}N2"
@@ -113,7 +113,7 @@ def reactions(fuel: Fuel) -> dict[str, Any]:
     return {"species": species_of(fuel), "reactions": {"combustion": reaction}}
 
 
-def thermodynamics(fuel: Fuel) -> dict[str, Any]:
+def thermodynamics(fuel: Hydrocarbon) -> dict[str, Any]:
     """OpenFOAM's file of the gases' properties."""
     gases = {}
     for name in species_of(fuel):
@@ -132,7 +132,7 @@ def thermodynamics(fuel: Fuel) -> dict[str, Any]:
     return gases
 
 
-def absorption(fuel: Fuel) -> dict[str, Any]:
+def absorption(fuel: Hydrocarbon) -> dict[str, Any]:
     """OpenFOAM's coefficients of the gases that radiate; nitrogen and oxygen do not."""
     found = {}
     for name, fit in ABSORPTION.items():

@@ -15,7 +15,7 @@ from gof.core.fire import FireDescription, Hearth
 from gof.core.records import to_json
 from gof_benchmark.solvers.grids import FireFrame, FireHistory, write_fire
 from gof_benchmark.solvers.openfoam.case import edges, probe_points
-from gof_benchmark.solvers.openfoam.chemistry import Fuel
+from gof_benchmark.solvers.openfoam.chemistry import Hydrocarbon
 from gof_benchmark.solvers.openfoam.foam_fire import FoamFire
 
 
@@ -246,7 +246,7 @@ def planck(temperature_k: np.ndarray) -> np.ndarray:
     return 1e-9 * C1 / WAVELENGTH_M**5 / np.expm1(C2 / (WAVELENGTH_M * t))
 
 
-def soot_share(mixture_fraction: np.ndarray, fuel: Fuel) -> np.ndarray:
+def soot_share(mixture_fraction: np.ndarray, fuel: Hydrocarbon) -> np.ndarray:
     """0 (leaner than half of stoichiometric) to 1 (richer than one and a half times)."""
     s = np.clip(mixture_fraction / fuel.stoichiometric_mixture_fraction - 0.5, 0, 1)
     return s * s * (3 - 2 * s)
@@ -255,7 +255,7 @@ def soot_share(mixture_fraction: np.ndarray, fuel: Fuel) -> np.ndarray:
 def luminous_emission(
     temperature_k: np.ndarray,
     mixture_fraction: np.ndarray,
-    fuel: Fuel,
+    fuel: Hydrocarbon,
     law: Literal["polynomial", "planck"] = "polynomial",
 ) -> np.ndarray:
     """Return radiance per metre of path.

@@ -13,14 +13,14 @@ from scipy.optimize import brentq
 from gof.core.errors import DataFormatError
 from gof.core.files import is_name
 from gof.core.records import read_record
-from gof_benchmark.solvers.openfoam.chemistry import FUELS, Fuel, FuelName
+from gof_benchmark.solvers.openfoam.chemistry import FUELS, FuelName, Hydrocarbon
 
 Vector = tuple[float, float, float]
 FIRES = Path(__file__).parent / "fires"
 
 
 @dataclass(frozen=True)
-class Burner:
+class FoamBurner:
     """Where fuel comes out of the floor, straight up.
 
     Args:
@@ -43,11 +43,11 @@ class Burner:
         """Return the diameter of the circle of equal area, which the laws of pool fires speak of."""
         return math.sqrt(4 * self.area_m2 / math.pi)
 
-    def mass_flow(self, fuel: Fuel) -> float:
+    def mass_flow(self, fuel: Hydrocarbon) -> float:
         """kg/s."""
         return self.heat_release_kw * 1e3 / fuel.heat_of_combustion
 
-    def speed(self, fuel: Fuel) -> float:
+    def speed(self, fuel: Hydrocarbon) -> float:
         """Return the speed of the cold fuel at the burner, m/s: centimetres for a pool, metres for a jet."""
         return self.mass_flow(fuel) / (fuel.density * self.area_m2)
 
@@ -78,7 +78,7 @@ class FoamFire:
     VERSION: ClassVar[int] = 1
 
     name: str
-    burners: tuple[Burner, ...]
+    burners: tuple[FoamBurner, ...]
     core_low_m: Vector
     core_high_m: Vector
     domain_low_m: Vector
@@ -125,7 +125,7 @@ class FoamFire:
                 raise DataFormatError(f"fire '{self.name}': a burner of {b.size_m} m at {b.center_m} leaves the core")
 
     @property
-    def gas(self) -> Fuel:
+    def gas(self) -> Hydrocarbon:
         return FUELS[self.fuel]
 
     @property

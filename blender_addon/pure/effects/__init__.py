@@ -13,7 +13,7 @@ specs, and may have some of these:
     says that it moves the drawn light in a way that is not in the true velocity; ``dataset.json`` says so then.
 ``steps_per_frame(settings) -> int``
     solver steps it needs from one frame to the next.
-``timing(settings, picture) -> Timing``
+``timing(settings, picture) -> ExposureTiming``
     what it adds to the time at which a picture is taken (``pure.timing``).
 ``expose(light, settings, picture) -> light``
     turns the light that reaches the sensor, (H, W, 3) linear, into what the sensor reports.
@@ -44,7 +44,7 @@ from typing import Any
 
 import numpy as np
 
-from ..timing import Picture, Timing
+from ..timing import ExposureTiming, Picture
 
 
 def names() -> list[str]:
@@ -98,10 +98,10 @@ def steps_per_frame(settings: Any) -> int:
     return hook(settings) if hook else 1
 
 
-def timing(settings: Any, picture: Picture) -> Timing:
+def timing(settings: Any, picture: Picture) -> ExposureTiming:
     """Return the time that the effect adds to a picture."""
     hook = _hook(settings, "timing")
-    return hook(settings, picture) if hook else Timing()
+    return hook(settings, picture) if hook else ExposureTiming()
 
 
 def expose(light: np.ndarray, listed: tuple[Any, ...], picture: Picture) -> np.ndarray:

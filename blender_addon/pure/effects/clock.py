@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ...core.checked_json import require
-from ..timing import Picture, Timing
+from ..timing import ExposureTiming, Picture
 
 
 @dataclass(frozen=True)
@@ -32,10 +32,10 @@ def steps_per_frame(settings: Settings) -> int:
     return settings.steps
 
 
-def timing(settings: Settings, picture: Picture) -> Timing:
+def timing(settings: Settings, picture: Picture) -> ExposureTiming:
     offset = _draw(picture.seed, 2, picture.camera)
     jitter = _draw(picture.seed, 3, picture.camera, picture.frame)
-    return Timing(delay=settings.offset_s * offset + settings.jitter_s * jitter)
+    return ExposureTiming(delay=settings.offset_s * offset + settings.jitter_s * jitter)
 
 
 def _draw(*key: int) -> float:

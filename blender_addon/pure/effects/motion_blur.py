@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from ...core.checked_json import require
-from ..timing import Picture, Timing
+from ..timing import ExposureTiming, Picture
 
 
 @dataclass(frozen=True)
@@ -24,6 +24,6 @@ def steps_per_frame(settings: Settings) -> int:
     return settings.steps
 
 
-def timing(settings: Settings, picture: Picture) -> Timing:
+def timing(settings: Settings, picture: Picture) -> ExposureTiming:
     open_s = settings.shutter / picture.fps
-    return Timing(delay=-open_s / 2, open=open_s)
+    return ExposureTiming(delay=-open_s / 2, open=open_s)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from ...core.checked_json import require
-from ..timing import Picture, Timing
+from ..timing import ExposureTiming, Picture
 
 
 @dataclass(frozen=True)
@@ -24,5 +24,5 @@ def steps_per_frame(settings: Settings) -> int:
     return settings.steps
 
 
-def timing(settings: Settings, picture: Picture) -> Timing:
-    return Timing(line=settings.readout_s / picture.lines)
+def timing(settings: Settings, picture: Picture) -> ExposureTiming:
+    return ExposureTiming(line=settings.readout_s / picture.lines)

@@ -13,7 +13,7 @@ import numpy as np
 
 from ...core.checked_json import require
 from .. import led_board
-from ..timing import Picture, Timing
+from ..timing import ExposureTiming, Picture
 
 SHOWS_BOARD = True
 
@@ -55,7 +55,7 @@ class Settings:
         return np.stack([x, y, self.position - led_board.CENTRE[0] * x - led_board.CENTRE[1] * y], axis=1)
 
 
-def lit_shares(settings: Settings, picture: Picture, when: Timing) -> np.ndarray:
+def lit_shares(settings: Settings, picture: Picture, when: ExposureTiming) -> np.ndarray:
     """Return (21, lines): for what share of its exposure each line of a picture sees each output lit.
 
     Args:

@@ -32,7 +32,7 @@ SPLATS = {
 
 
 @dataclass(frozen=True)
-class Clock:
+class CloudTiming:
     """Facts about time that the files of other methods do not hold.
 
     Attributes:
@@ -65,19 +65,19 @@ class GaussianCloud(TransientGaussians):
         return bool(np.isfinite(self.velocity_sd).any())
 
 
-def load(source: str | Path | Sequence[Path], clock: Clock | None = None, step: int = 1) -> GaussianCloud:
+def load(source: str | Path | Sequence[Path], clock: CloudTiming | None = None, step: int = 1) -> GaussianCloud:
     """Read a result; what it is follows from its content.
 
     Args:
         source: a file, a folder of numbered PLYs, or a list of numbered PLYs.
-        clock: see Clock.
+        clock: see `CloudTiming`.
         step: read every step-th Gaussian only.
 
     Raises:
         DataFormatError, NonFiniteError: no such file, wrong suffix, schema or layout, missing field, truncated, no
             points, NaN or Inf, a value outside its range, or a time without a unit. Rows are those of the file.
     """
-    clock = clock or Clock()
+    clock = clock or CloudTiming()
     paths = files_of(source)
     try:
         cloud = _of_sequence(paths, clock.fps, step) if len(paths) > 1 else _of_file(paths[0], clock, step)
@@ -131,7 +131,7 @@ def _count_npz(path: Path) -> int:
         return 0  # `load` says what is wrong
 
 
-def _of_file(path: Path, clock: Clock, step: int) -> GaussianCloud:
+def _of_file(path: Path, clock: CloudTiming, step: int) -> GaussianCloud:
     with naming(path):
         if path.suffix.lower() == ".npz":
             arrays, whole = results.load(path, step)

@@ -24,7 +24,7 @@ PATH = "/reconstruction"
 
 
 @dataclass(frozen=True)
-class Clock:
+class SceneFrames:
     """Frames of the scene: the first, the last, and how many there are in a second."""
 
     first: int
@@ -34,8 +34,8 @@ class Clock:
 
 def write(
     path: Path,
-    frames: Iterator[tuple[int, Points]],
-    clock: Clock,
+    frames: Iterator[tuple[int, VisibleGaussians]],
+    clock: SceneFrames,
     to_world: np.ndarray,
     metres_per_unit: float,
 ) -> None:
@@ -101,7 +101,7 @@ def write(
         del stage
 
 
-def _extent(points: Points) -> np.ndarray:
+def _extent(points: VisibleGaussians) -> np.ndarray:
     """Return (2, 3) the lowest and the highest corner; at the origin where nothing is seen."""
     if not len(points):
         return np.zeros((2, 3), np.float32)
@@ -110,7 +110,7 @@ def _extent(points: Points) -> np.ndarray:
 
 
 @dataclass(frozen=True)
-class Points:
+class VisibleGaussians:
     """M Gaussians that are seen at an instant; float32 unless said otherwise.
 
     Attributes:
@@ -141,7 +141,7 @@ class Points:
         return 2 * np.cbrt(self.scale.prod(axis=1, dtype=np.float64)).astype(np.float32)
 
 
-def at(cloud: GaussianCloud, time_s: float, least: float = FAINT, time_scale: float = 1.0) -> Points:
+def at(cloud: GaussianCloud, time_s: float, least: float = FAINT, time_scale: float = 1.0) -> VisibleGaussians:
     """Return the Gaussians of which at least an opacity `least` is left at a time.
 
     Args:
@@ -151,7 +151,7 @@ def at(cloud: GaussianCloud, time_s: float, least: float = FAINT, time_scale: fl
     seen = np.flatnonzero((opacity >= least) & np.isfinite(place).all(axis=1))
     moving = cloud.dynamic[seen, None] * np.float32(time_scale)
     color, left = cloud.color[seen].astype(np.float64), opacity[seen]
-    return Points(
+    return VisibleGaussians(
         seen,
         place[seen].astype(np.float32),
         cloud.velocity[seen] * moving,

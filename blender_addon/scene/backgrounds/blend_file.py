@@ -32,19 +32,19 @@ def build(spec: SceneSpec, collection: bpy.types.Collection) -> None:
     cut_links(path)
     marker = scene.objects.get(name)
     if marker is None:
-        empties = sorted(thing.name for thing in scene.objects if thing.type == "EMPTY")
+        empties = sorted(object_.name for object_ in scene.objects if object_.type == "EMPTY")
         raise SpecError(f"blend_file.empty: {path} has no object {name!r}; its empties: {', '.join(empties) or 'none'}")
     scale = scene.unit_settings.scale_length
     to_ours = place.to_our_world(marker.matrix_world, scale)
-    poses = {thing: to_ours @ thing.matrix_world for thing in scene.objects}
-    for thing, pose in poses.items():
-        if thing is not marker and stays_out(thing):
-            bpy.data.objects.remove(thing)  # also for its name, which may be one of ours
+    poses = {object_: to_ours @ object_.matrix_world for object_ in scene.objects}
+    for object_, pose in poses.items():
+        if object_ is not marker and stays_out(object_):
+            bpy.data.objects.remove(object_)  # also for its name, which may be one of ours
             continue
-        _place(thing, pose, scale)
+        _place(object_, pose, scale)
         # What is hidden may shape others all the same, by a modifier of theirs.
-        if thing is marker or is_obstacle(thing) or not thing.hide_render:
-            collection.objects.link(thing)
+        if object_ is marker or is_obstacle(object_) or not object_.hide_render:
+            collection.objects.link(object_)
     ours = bpy.context.scene
     ours.world = scene.world
     bpy.data.scenes.remove(scene)
@@ -83,30 +83,32 @@ def _append_scene(path: Path) -> bpy.types.Scene:
     return scene
 
 
-def stays_out(thing: bpy.types.Object) -> bool:
+def stays_out(object_: bpy.types.Object) -> bool:
     """Return whether an object of a user's scene is no part of the surroundings."""
-    fluid = any(modifier.type == "FLUID" and modifier.fluid_type in ("DOMAIN", "FLOW") for modifier in thing.modifiers)
-    return bool(thing.type == "CAMERA" or fluid or place.part_of(thing))
+    fluid = any(
+        modifier.type == "FLUID" and modifier.fluid_type in ("DOMAIN", "FLOW") for modifier in object_.modifiers
+    )
+    return bool(object_.type == "CAMERA" or fluid or place.part_of(object_))
 
 
-def is_obstacle(thing: bpy.types.Object) -> bool:
+def is_obstacle(object_: bpy.types.Object) -> bool:
     """Return whether gas flows around an object."""
-    effectors = [modifier.effector_settings for modifier in thing.modifiers if modifier.type == "FLUID"]
+    effectors = [modifier.effector_settings for modifier in object_.modifiers if modifier.type == "FLUID"]
     return any(settings and settings.effector_type == "COLLISION" and settings.use_effector for settings in effectors)
 
 
-def _place(thing: bpy.types.Object, pose: Matrix, scale: float) -> None:
+def _place(object_: bpy.types.Object, pose: Matrix, scale: float) -> None:
     """Fix an object at its pose in our world, free of parents, constraints and animation."""
-    thing.animation_data_clear()
-    thing.parent = None
-    thing.constraints.clear()
-    thing.matrix_world = pose
-    if thing.type == "LIGHT" and thing.data.type != "SUN":
+    object_.animation_data_clear()
+    object_.parent = None
+    object_.constraints.clear()
+    object_.matrix_world = pose
+    if object_.type == "LIGHT" and object_.data.type != "SUN":
         # Power falls off with squared distance, which has just changed by the scale.
-        thing.data = thing.data.copy()
-        thing.data.energy *= scale**2
-        if thing.data.type in ("POINT", "SPOT"):
-            thing.data.shadow_soft_size *= scale
+        object_.data = object_.data.copy()
+        object_.data.energy *= scale**2
+        if object_.data.type in ("POINT", "SPOT"):
+            object_.data.shadow_soft_size *= scale
 
 
 # ----------------------------------------------------------------

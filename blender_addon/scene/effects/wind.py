@@ -8,7 +8,7 @@ import bpy
 import numpy as np
 
 from ...pure.effects.wind import Settings
-from ...pure.similarity import wind_push
+from ...pure.fire_scaling import wind_push
 from ...pure.spec import SceneSpec
 from .. import mantaflow
 from ..fire_objects import FireObjects

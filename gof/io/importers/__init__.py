@@ -29,7 +29,7 @@ from gof.io.importers import (
     usd,
     yang,
 )
-from gof.io.importers.sidecar import in_words, with_said
+from gof.io.importers.sidecar import in_words, with_sidecar
 from gof.io.importers.source import FLAGS, Imported, ImportOptions, Source
 
 # in the order in which they are asked; `refused` explains what is recognised and has no velocities
@@ -98,13 +98,13 @@ def read_result(path: str | Path, options: ImportOptions | None = None) -> Impor
     """
     path = Path(path)
     source = Source(_newest_checkpoint(path) if path.is_dir() else path)
-    options, said = (options, None) if options else with_said(path, ImportOptions())
+    options, sidecar = (options, None) if options else with_sidecar(path, ImportOptions())
     name = detect(source)
     try:
         _refuse_unused(name, options)
         imported = replace(METHODS[name].read(source, options), flame_only=options.flame_only)
-        if said is not None:
-            imported.notes.append(in_words(said, options))
+        if sidecar is not None:
+            imported.notes.append(in_words(sidecar, options))
         if name == imported.method == "gof" and (method := gof_files.converted_from(source)) in METHODS:
             imported = replace(imported, method=method)
         if options.emissive:

@@ -51,7 +51,7 @@ class ScaleBounds:
 
 
 @dataclass(frozen=True)
-class Splats:
+class PaperGaussians:
     """The content of its files, in its units: its length, per ms, ms.
 
     Attributes:
@@ -126,7 +126,7 @@ def read(source: Source, options: ImportOptions) -> Imported:
     return Imported(gaussians, "authors", source.path, [f"one unit of its time taken as {unit:g} s; {bounds}"])
 
 
-def _from_checkpoint(source: Source) -> Splats:
+def _from_checkpoint(source: Source) -> PaperGaussians:
     (state, iteration), path = source.checkpoint, source.path
     xyz = array(state[1], "xyz", (None, 3), path)
     n = len(xyz)
@@ -135,7 +135,7 @@ def _from_checkpoint(source: Source) -> Splats:
         bounds = None if state[16] is None else _bounds(state[16], state[17], path)
     else:
         bounds = _read_bounds(path, [Path(), Path("point_cloud") / f"iteration_{iteration}"], "scale_bounds.json")
-    return Splats(
+    return PaperGaussians(
         position=xyz,
         velocity=array(state[2], "velocity", (n, 3), path),
         scaling=array(state[5], "scaling", (n, 3), path),
@@ -152,7 +152,7 @@ def _from_checkpoint(source: Source) -> Splats:
     )
 
 
-def _from_ply(source: Source) -> Splats:
+def _from_ply(source: Source) -> PaperGaussians:
     ply, path = source.ply, source.path
     if not ply.has(*VELOCITY):
         raise DataFormatError(
@@ -161,7 +161,7 @@ def _from_ply(source: Source) -> Splats:
         )
     shared = ply.without_scale()
     times = ply.columns("t_mu", "t_sigma", "is_dynamic")
-    return Splats(
+    return PaperGaussians(
         position=shared["position"],
         velocity=ply.columns(*VELOCITY),
         scaling=ply.columns("scale_0", "scale_1", "scale_2"),

@@ -73,11 +73,11 @@ def difference_notes(trajectory: Trajectory) -> list[str]:
     if trajectory.velocity is not None:
         return ["velocities as stored"]
     change = trajectory.difference_change()
-    said = "velocities are differences of positions"
+    note = "velocities are differences of positions"
     if np.isnan(change):
-        return [said]
+        return [note]
     return [
-        f"{said}; spanning twice the step changes them by {change:.1%}: their error is a third of that where motion is "
+        f"{note}; spanning twice the step changes them by {change:.1%}: their error is a third of that where motion is "
         "smooth, and up to all of it where it has kinks, as networks' has"
         + ("; better, give `velocity` by differences over 1e-4 s in your own code" if change > 0.05 else "")
     ]

@@ -15,7 +15,7 @@ ENDING = ".gof.json"
 
 
 @dataclass(frozen=True)
-class Said:
+class ImportSidecar:
     """The file of a result; fields as of `ImportOptions`. `world` counts from its folder."""
 
     SCHEMA: ClassVar[str] = "gof-import"
@@ -31,7 +31,7 @@ class Said:
     emissive: bool = False
 
 
-FIELDS = tuple(field.name for field in fields(Said))
+FIELDS = tuple(field.name for field in fields(ImportSidecar))
 
 
 def file_of(result: Path) -> Path:
@@ -40,15 +40,17 @@ def file_of(result: Path) -> Path:
     return result.with_name(result.name + ENDING)
 
 
-def write_said(result: Path, options: ImportOptions) -> Path:
+def write_sidecar(result: Path, options: ImportOptions) -> Path:
     """Write the file of a result, and return its path; an older one is replaced."""
     path = file_of(result)
     world = None if options.world is None else without_place(options.world, path.parent)
-    write_record(path, Said(**{name: getattr(options, name) for name in FIELDS if name != "world"}, world=world))
+    write_record(
+        path, ImportSidecar(**{name: getattr(options, name) for name in FIELDS if name != "world"}, world=world)
+    )
     return path
 
 
-def with_said(result: Path, options: ImportOptions) -> tuple[ImportOptions, Path | None]:
+def with_sidecar(result: Path, options: ImportOptions) -> tuple[ImportOptions, Path | None]:
     """Return options of a result: what the caller does not give is as its file says; and that file, where it has a
     part.
 
@@ -58,23 +60,23 @@ def with_said(result: Path, options: ImportOptions) -> tuple[ImportOptions, Path
     path = file_of(result)
     if not path.is_file():
         return options, None
-    said = read_record(Said, path)
-    values = {name: getattr(said, name) for name in FIELDS}
-    if said.world is not None:
-        values["world"] = Path(os.path.normpath(path.parent / said.world))
+    record = read_record(ImportSidecar, path)
+    values = {name: getattr(record, name) for name in FIELDS}
+    if record.world is not None:
+        values["world"] = Path(os.path.normpath(path.parent / record.world))
     missing = {name: value for name, value in values.items() if value and not getattr(options, name)}
     return (replace(options, **missing), path) if missing else (options, None)
 
 
 def in_words(path: Path, options: ImportOptions) -> str:
     """Return a note for people: what was taken from the file."""
-    said = {name: getattr(options, name) for name in FIELDS}
+    values = {name: getattr(options, name) for name in FIELDS}
     return f"as {path.name} says: " + ", ".join(
         f"{name.removesuffix('_s').replace('_', ' ')} {value:g} s"
         if name.endswith("_s")
         else f"{name.replace('_', ' ')} {value}"
         if value is not True
         else name.replace("_", " ")
-        for name, value in said.items()
+        for name, value in values.items()
         if value
     )

@@ -37,7 +37,7 @@ def read(source: Source, options: ImportOptions) -> Imported:
             if len(archive.infolist()) > MOST_ENTRIES:
                 raise DataFormatError(f"holds more than {MOST_ENTRIES} files")
             meta = json.loads(_entry(archive, "meta.json", MOST_METADATA).decode())
-            gaussians, notes = _gaussians(_Pictures(archive, meta), meta, options)
+            gaussians, notes = _gaussians(_PictureReader(archive, meta), meta, options)
     except (zipfile.BadZipFile, zlib.error, NotImplementedError, EOFError, OSError, RuntimeError) as e:
         raise DataFormatError(f"is no .tsog file, or damaged ({e})") from e
     except (KeyError, TypeError, ValueError, IndexError, AttributeError, RecursionError, OverflowError) as e:
@@ -49,14 +49,14 @@ def read(source: Source, options: ImportOptions) -> Imported:
 
 
 def _gaussians(
-    pictures: _Pictures, meta: dict[str, Any], options: ImportOptions
+    pictures: _PictureReader, meta: dict[str, Any], options: ImportOptions
 ) -> tuple[TransientGaussians, list[str]]:
     """Return them on our clock, Z up, and what was assumed."""
     own, notes = meta.get("gof") or {}, []
     start_s = options.time_zero_s + float(own.get("start_s", 0))
-    clip_s, said = _clip_s(meta, options)
+    clip_s, assumption = _clip_s(meta, options)
     if not own:
-        notes += [f"its times 0..1 taken as {start_s:g} to {start_s + clip_s:g} s{said}"]
+        notes += [f"its times 0..1 taken as {start_s:g} to {start_s + clip_s:g} s{assumption}"]
         notes += ["its world taken as y up, in metres, and turned to Z up (else gof convert RESULT --align)"]
     place = pictures.pair(meta["means"], 3)
     middle, width = pictures.pair(meta["timeline"], 2).T
@@ -116,7 +116,7 @@ def _clip_s(meta: dict[str, Any], options: ImportOptions) -> tuple[float, str]:
     return clip_s, "" if "duration" in playback else without
 
 
-class _Pictures:
+class _PictureReader:
     """Pictures of an archive, as the codes of their pixels."""
 
     def __init__(self, archive: zipfile.ZipFile, meta: dict[str, Any]):
@@ -185,7 +185,7 @@ def _quaternions(codes: np.ndarray) -> np.ndarray:
     return wxyz
 
 
-def _colour(pictures: _Pictures, meta: dict[str, Any], base: np.ndarray) -> np.ndarray:
+def _colour(pictures: _PictureReader, meta: dict[str, Any], base: np.ndarray) -> np.ndarray:
     """Return (N, 3) display colours, or coefficients (N, K, 3) where there are more."""
     if "shN" not in meta:
         return 0.5 + C0 * base

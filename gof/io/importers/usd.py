@@ -49,10 +49,13 @@ def read(source: Source, options: ImportOptions) -> Imported:
         clock = _Clock.of(stage, codes, options)
         if len(codes) > 1:
             require_unit(clock.times_s - options.time_zero_s, options, source.path)
-        trajectory, said = _trajectory(prims, places, clock)
+        trajectory, motion_notes = _trajectory(prims, places, clock)
         trajectory = replace(trajectory, emissive=emissive)
         return Imported(
-            trajectory, "usd", source.path, [*clock.notes, usd_stage.world_in_words(stage), *aside, *notes, *said]
+            trajectory,
+            "usd",
+            source.path,
+            [*clock.notes, usd_stage.world_in_words(stage), *aside, *notes, *motion_notes],
         )
 
 
@@ -161,8 +164,8 @@ def _trajectory(prims: list[Any], places: list[np.ndarray], clock: _Clock) -> tu
     """Return all prims' Gaussians at the samples, and notes. Raises DataFormatError: nothing moves."""
     parts, paths, notes = [], [], []
     for prim, matrices in zip(prims, places, strict=True) if len(clock.codes) > 1 else ():
-        part, said = _states(prim, matrices, clock)
-        notes += [f"{prim.GetPath()}: {words}" for words in said]
+        part, prim_notes = _states(prim, matrices, clock)
+        notes += [f"{prim.GetPath()}: {words}" for words in prim_notes]
         if part is not None:
             parts.append(part)
             paths.append(str(prim.GetPath()))
@@ -286,18 +289,18 @@ def _ways(prim: Any, clock: _Clock) -> tuple[list[np.ndarray], list[np.ndarray],
         return position, parts, stored, [*notes, "Gaussians followed by their ids"]
     if len(set(sizes)) == 1:
         return position, [np.arange(sizes[0])] * len(sizes), stored, notes
-    said = f"its samples hold {min(sizes)} to {max(sizes)} Gaussians and no ids"
+    problem = f"its samples hold {min(sizes)} to {max(sizes)} Gaussians and no ids"
     if stored is None:
         raise DataFormatError(
-            f"{prim.GetPath()}: {said}; differences need to know which is which: author 'primvars:id' or 'velocities', "
-            "or export the same Gaussians at all times, with opacity 0 where they are not seen"
+            f"{prim.GetPath()}: {problem}; differences need to know which is which: author 'primvars:id' or "
+            "'velocities', or export the same Gaussians at all times, with opacity 0 where they are not seen"
         )
     starts = np.cumsum([0, *sizes[:-1]])
     return (
         position,
         [k + np.arange(n) for k, n in zip(starts, sizes, strict=True)],
         stored,
-        [f"{said}: new ones in each"],
+        [f"{problem}: new ones in each"],
     )
 
 
@@ -335,7 +338,7 @@ def _filled(part: _States, times_s: np.ndarray) -> tuple[_States, list[str]]:
     index = np.where(part.present, np.arange(steps)[:, None], -1)
     before = np.maximum.accumulate(index, 0)
     after = np.minimum.accumulate(np.where(part.present, np.arange(steps)[:, None], steps)[::-1], 0)[::-1]
-    said = part.position.copy()
+    sampled = part.position.copy()
     for k in range(steps):
         for inner, edge in ((before, True), (after, False)):  # after the last sample; before the first
             at = np.flatnonzero((after[k] == steps) if edge else (before[k] < 0))
@@ -344,12 +347,12 @@ def _filled(part: _States, times_s: np.ndarray) -> tuple[_States, list[str]]:
                 slope = part.velocity[near, at]
             else:
                 far = before[np.maximum(near - 1, 0), at] if edge else after[np.minimum(near + 1, steps - 1), at]
-                slope = (said[near, at] - said[far, at]) / (times_s[near] - times_s[far])[:, None]
-            part.position[k, at] = said[near, at] + slope * (times_s[k] - times_s[near])[:, None]
+                slope = (sampled[near, at] - sampled[far, at]) / (times_s[near] - times_s[far])[:, None]
+            part.position[k, at] = sampled[near, at] + slope * (times_s[k] - times_s[near])[:, None]
         gap = np.flatnonzero(~part.present[k] & (before[k] >= 0) & (after[k] < steps))
         low, high = before[k, gap], after[k, gap]
         share = ((times_s[k] - times_s[low]) / (times_s[high] - times_s[low]))[:, None]
-        part.position[k, gap] = (1 - share) * said[low, gap] + share * said[high, gap]
+        part.position[k, gap] = (1 - share) * sampled[low, gap] + share * sampled[high, gap]
     nearest = np.where(before >= 0, before, after)
     for name in ("scale", "rotation", "velocity"):
         array = getattr(part, name)

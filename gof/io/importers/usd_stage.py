@@ -90,10 +90,10 @@ def _look_over(path: Path) -> None:
 
 def _reason(error: Exception) -> str:
     try:
-        said = re.findall(r" : '(.+)", str(error))
+        reasons = re.findall(r" : '(.+)", str(error))
     except UnicodeError:  # it quotes bytes of the file
-        said = []
-    return said[0].strip(" '")[:200] if said else type(error).__name__
+        reasons = []
+    return reasons[0].strip(" '")[:200] if reasons else type(error).__name__
 
 
 def find_splats(stage: Any) -> tuple[list[Any], list[str]]:
@@ -266,8 +266,8 @@ def read_colour(prim: Any, code: float, count: int) -> np.ndarray:
     stored = read_values(prim, "harmonics", code)
     if stored is not None:
         attribute = prim.GetAttribute(DEGREE)
-        said = attribute.Get(code) if attribute else None
-        degree = said if isinstance(said, int) else -1  # a prim without that schema, or a damaged one
+        value = attribute.Get(code) if attribute else None
+        degree = value if isinstance(value, int) else -1  # a prim without that schema, or a damaged one
         size = (degree + 1) ** 2
         if not 0 <= degree <= 3 or len(stored) != count * size:
             raise DataFormatError(

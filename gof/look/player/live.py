@@ -122,13 +122,13 @@ def serve(live: Live, port: int = 0) -> ThreadingHTTPServer:
             if not is_own_page(self.headers):
                 return self._answer(HTTPStatus.FORBIDDEN, b"not a page of this server\n", "text/plain")
             asked = urlsplit(self.path)
-            said = {key: values[0] for key, values in parse_qs(asked.query).items()}
+            parameters = {key: values[0] for key, values in parse_qs(asked.query).items()}
             if asked.path == "/":
                 return self._answer(HTTPStatus.OK, live.page().encode(), "text/html; charset=utf-8")
             if asked.path == "/news":
-                news = live.news(said.get("have", ""))
+                news = live.news(parameters.get("have", ""))
                 return self._answer_json(news) if news else self._answer(HTTPStatus.NO_CONTENT)
-            if asked.path == "/instant" and (time_s := _number(said.get("time", ""))) is not None:
+            if asked.path == "/instant" and (time_s := _number(parameters.get("time", ""))) is not None:
                 return self._answer_json(live.instant(time_s))
             return self._answer(HTTPStatus.NOT_FOUND, b"there is / alone\n", "text/plain")
 

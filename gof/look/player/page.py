@@ -33,7 +33,7 @@ from gof.look.images import PLATE_QUALITY, PLATE_SIDE, VIRIDIS, base64_text, fra
 from gof.look.pages import template
 from gof.look.player import legend
 from gof.look.player.opened import G, Opened, middle_of, time_span
-from gof.look.player.quantise import Agreement, Packed, measure, pack, unpack
+from gof.look.player.quantise import Packed, PackedFidelity, measure, pack, unpack
 
 PLAYER = Path(__file__).parent
 SCRIPTS = ("unpack.js", "view.js", "draw.js", "pictures.js", "greet.js", "links.js", "player.js")
@@ -53,7 +53,7 @@ class Shared:
     path: Path
     bytes: int
     gaussian_bytes: list[int]
-    agreement: list[Agreement]
+    agreement: list[PackedFidelity]
     notes: list[str]
 
 
@@ -94,7 +94,7 @@ class PageSetting:
             first: the result whose plates lie behind the flame.
             pictures_mb: at most so much of recorded pictures; 0 = none.
         """
-        frames, said = frames_within(self.views, round(pictures_mb * 1e6), progress)
+        frames, changes = frames_within(self.views, round(pictures_mb * 1e6), progress)
         plates = _plates(self.views, first)
         dataset = self.dataset
         return {
@@ -116,7 +116,7 @@ class PageSetting:
                 "uncertainty": legend.UNCERTAINTY_NOTE,
                 "line": legend.line_note(legend.line_s(self.length_s)),
             },
-        }, said
+        }, changes
 
     def truth_at(self, gaussians: TransientGaussians) -> np.ndarray | None:
         """Return the true velocity (N, 3) m/s at the Gaussians, None where it is not known."""
@@ -175,20 +175,22 @@ def share_page(
             truths.append(setting.truth_at(result.gaussians))
             packed.append(pack(result.gaussians, truths[-1]))
             agreement.append(_checked(result.gaussians, packed[-1], setting))
-        content, said = pictures.result()
+        content, changes = pictures.result()
     shown = [packed_result(result.name, one) for result, one in zip(results, packed, strict=True)]
     content |= scales([result.gaussians for result in results], truths)
     content |= {
         "results": shown,
         "file": out.stem,
         "subtitle": subtitle(results, setting),
-        "facts": _facts(results, packed, agreement, dataset, said),
+        "facts": _facts(results, packed, agreement, dataset, changes),
     }
     html = assemble(content, title or title_of(results, dataset))
     with atomic_path(out) as temporary:
         temporary.write_text(html, encoding="utf-8")
     known = setting.views
-    notes = [f"recorded: {said}"] if known else ["no --dataset: no cameras, recorded pictures or true velocity in it"]
+    notes = (
+        [f"recorded: {changes}"] if known else ["no --dataset: no cameras, recorded pictures or true velocity in it"]
+    )
     return Shared(out, out.stat().st_size, [len(one["data"]) for one in shown], agreement, notes)
 
 
@@ -200,8 +202,8 @@ def title_of(results: Sequence[Opened], dataset: Dataset | None) -> str:
 def credit(dataset: Dataset) -> str:
     """Return a dataset's makers and licence in words: of the card of `gof pack`, else of its provenance; empty where
     neither says."""
-    if said := read_credit(dataset.path):
-        return said
+    if text := read_credit(dataset.path):
+        return text
     made = dataset.description.provenance
     found = {name: made[name] for name in CREDITS if made.get(name)}
     return " ".join(
@@ -301,7 +303,7 @@ def _width(frames: list[str | None]) -> int | None:
     return None if first is None else Image.open(io.BytesIO(base64.b64decode(first))).width
 
 
-def _checked(gaussians: TransientGaussians, packed: Packed, setting: PageSetting) -> Agreement:
+def _checked(gaussians: TransientGaussians, packed: Packed, setting: PageSetting) -> PackedFidelity:
     cameras = setting.cameras
     some = [cameras[i] for i in sorted({int(k) for k in np.linspace(0, len(cameras) - 1, CHECKED)})]
     times = [setting.first_s + share * setting.length_s for share in np.linspace(0, 1, CHECKED + 2)[1:-1]]
@@ -315,7 +317,7 @@ def subtitle(results: Sequence[Opened], setting: PageSetting) -> str:
 
 
 def _facts(
-    results: list[Opened], packed: list[Packed], agreement: list[Agreement], dataset: Dataset | None, recorded: str
+    results: list[Opened], packed: list[Packed], agreement: list[PackedFidelity], dataset: Dataset | None, recorded: str
 ) -> list[tuple[str, str]]:
     """Return the text under "About this file"; it names no folder of its author."""
     facts = []
@@ -328,7 +330,7 @@ def _facts(
     return [*facts, ("made by", f"gof {gof.__version__}")]
 
 
-def in_words(agreement: Agreement) -> str:
+def in_words(agreement: PackedFidelity) -> str:
     """Quantisation's cost as people read it."""
     if not np.isfinite(agreement.psnr_db):
         return "draws the unquantised picture"

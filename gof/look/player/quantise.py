@@ -23,7 +23,7 @@ LEAST_OPACITY = 1e-4  # fainter is not drawn (1/255) whatever it is multiplied w
 
 
 @dataclass(frozen=True)
-class Column:
+class PackedColumn:
     """One quantity of all Gaussians, part after part, little-endian.
 
     Attributes:
@@ -51,7 +51,7 @@ class Packed:
     """N quantised Gaussians: their columns' descriptions, the columns' bytes one after another, and what they are."""
 
     count: int
-    columns: list[Column]
+    columns: list[PackedColumn]
     data: bytes
     emissive: bool
 
@@ -116,7 +116,7 @@ def unpack(packed: Packed) -> TransientGaussians:
 
 
 @dataclass(frozen=True)
-class Agreement:
+class PackedFidelity:
     """The worst over some cameras and times.
 
     Attributes:
@@ -132,7 +132,7 @@ class Agreement:
 
 def measure(
     own: TransientGaussians, drawn: TransientGaussians, cameras: list[Camera], times_s: list[float]
-) -> Agreement:
+) -> PackedFidelity:
     """Compare row by row the same Gaussians before and after."""
     from gof.render import render
 
@@ -149,13 +149,13 @@ def measure(
             shift = np.linalg.norm(camera.project(before[seen])[0] - camera.project(after[seen])[0], axis=-1)
             moved.append(float(np.nanmax(shift, initial=0.0)))
     speed = own.moving_gas - drawn.moving_gas
-    return Agreement(min(psnr), max(moved), float(np.abs(speed).max(initial=0.0)))
+    return PackedFidelity(min(psnr), max(moved), float(np.abs(speed).max(initial=0.0)))
 
 
 # ---------------------------------------------------------------- grids
 
 
-def _linear(name: str, values: np.ndarray, size: int) -> tuple[Column, bytes]:
+def _linear(name: str, values: np.ndarray, size: int) -> tuple[PackedColumn, bytes]:
     """Return a grid that has 0 on it where the values lie on both sides of it: what stands still must not creep."""
     values = np.asarray(values, np.float64)
     low, high = values.min(0, initial=np.inf), values.max(0, initial=-np.inf)
@@ -165,22 +165,22 @@ def _linear(name: str, values: np.ndarray, size: int) -> tuple[Column, bytes]:
     astride = (low < 0) & (high > 0)
     step = np.where(astride, (high - low) / (steps - 1), (high - low) / steps)
     low = np.where(astride, np.floor(low / np.where(astride, step, 1)) * step, low)
-    column = Column(name, values.shape[1], size, low.tolist(), (low + steps * step).tolist())
+    column = PackedColumn(name, values.shape[1], size, low.tolist(), (low + steps * step).tolist())
     return column, _codes(column, values)
 
 
-def _log(name: str, values: np.ndarray) -> tuple[Column, bytes]:
+def _log(name: str, values: np.ndarray) -> tuple[PackedColumn, bytes]:
     """Return one byte each; all parts share a grid, and infinity has a number of its own."""
     values = np.asarray(values, np.float64)
     finite = np.log(values[np.isfinite(values) & (values > 0)])
     low, high = (finite.min(), finite.max()) if len(finite) else (0.0, 0.0)
     parts = values.shape[1]
-    column = Column(name, parts, 1, [float(low)] * parts, [float(high)] * parts, log=True, infinite=True)
+    column = PackedColumn(name, parts, 1, [float(low)] * parts, [float(high)] * parts, log=True, infinite=True)
     with np.errstate(divide="ignore"):
         return column, _codes(column, np.log(values))
 
 
-def _codes(column: Column, values: np.ndarray) -> bytes:
+def _codes(column: PackedColumn, values: np.ndarray) -> bytes:
     low, span = np.array(column.low), np.array(column.high) - column.low
     share = np.where(span > 0, (values - low) / np.where(span > 0, span, 1), 0)
     code = np.rint(np.clip(np.nan_to_num(share, posinf=0, neginf=0), 0, 1) * column.steps)
@@ -188,14 +188,14 @@ def _codes(column: Column, values: np.ndarray) -> bytes:
     return np.ascontiguousarray(code.T).astype(f"<u{column.bytes}").tobytes()
 
 
-def _values(column: Column, code: np.ndarray) -> np.ndarray:
+def _values(column: PackedColumn, code: np.ndarray) -> np.ndarray:
     low, high = np.array(column.low), np.array(column.high)
     values = low + code * ((high - low) / column.steps)
     values = np.exp(values) if column.log else values
     return np.where(code > column.steps, np.inf, values) if column.infinite else values
 
 
-def _rotation(quaternions: np.ndarray) -> tuple[Column, bytes]:
+def _rotation(quaternions: np.ndarray) -> tuple[PackedColumn, bytes]:
     """Return the three smaller parts of a unit quaternion, each at most sqrt(1/2), and which part is the largest: 32
     bits."""
     q = np.asarray(quaternions, np.float64)
@@ -205,7 +205,7 @@ def _rotation(quaternions: np.ndarray) -> tuple[Column, bytes]:
     most = 2**ROTATION_BITS - 1
     code = np.rint((np.clip(smaller * np.sqrt(0.5) + 0.5, 0, 1)) * most).astype(np.uint32)
     word = largest.astype(np.uint32) << 30 | code[:, 0] << 20 | code[:, 1] << 10 | code[:, 2]
-    return Column("rotation", 1, 4, [0.0], [0.0]), word.astype("<u4").tobytes()
+    return PackedColumn("rotation", 1, 4, [0.0], [0.0]), word.astype("<u4").tobytes()
 
 
 def _quaternions(word: np.ndarray) -> np.ndarray:

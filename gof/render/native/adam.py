@@ -69,26 +69,26 @@ def adam(old, gradients, rate: float, beta_1: float, beta_2: float, epsilon: flo
 
 
 @dataclass(frozen=True)
-class Rows:
+class RowRuns:
     """Rows (K,) uint32 of some columns, ascending, each once; runs (R + 1,): where neighbours begin, and the end."""
 
     index: np.ndarray
     runs: np.ndarray
 
     @classmethod
-    def of(cls, index: np.ndarray) -> Rows:
+    def of(cls, index: np.ndarray) -> RowRuns:
         return cls(index, np.concatenate([[0], np.flatnonzero(np.diff(index) != 1) + 1, [len(index)]]))
 
 
-def take(columns: list[np.ndarray], rows: Rows) -> list[Float]:
-    """These rows of K columns (N,)."""
+def take(columns: list[np.ndarray], rows: RowRuns) -> list[Float]:
+    """Return these rows of K columns (N,)."""
     out = [dr.empty(Float, len(rows.index)) for _ in columns]
     tasks = list(zip(columns, [column.numpy() for column in out], strict=True))
     run(lambda k: _take(tasks[k][0], rows.index, rows.runs, tasks[k][1]), [(k,) for k in range(len(tasks))])
     return out
 
 
-def adam_rows(old, rows: Rows, gradients, rate: float, beta_1: float, beta_2: float, epsilon: float) -> None:
+def adam_rows(old, rows: RowRuns, gradients, rate: float, beta_1: float, beta_2: float, epsilon: float) -> None:
     """One step of some rows of a parameter of K columns (N,), in place; rows with gradient 0 stay.
 
     Args:

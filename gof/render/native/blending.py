@@ -207,7 +207,7 @@ def _collect(records, g, x, y, d, w, g_colors, absgrad, sums):
 
 
 def _with_absolute(absgrad, others, records, g, d, dx, dy):
-    """The others, and with `absgrad` |dL/d(mean)| of each pixel, x and y."""
+    """Return the others, and with `absgrad` |dL/d(mean)| of each pixel, x and y."""
 
 
 @overload(_with_absolute)

@@ -35,7 +35,7 @@ WHERE = f"kept in {CACHE}" if CACHE else "in every process anew: no cache folder
 
 
 def kernel(function):
-    """A function that numba compiles for the types it is called with; it runs without Python's lock."""
+    """Make a function one that numba compiles for the types it is called with; it runs without Python's lock."""
     elsewhere = config.CACHE_DIR
     config.CACHE_DIR = str(CACHE or "")  # read while the function is wrapped; other users of numba keep theirs
     try:
@@ -46,7 +46,7 @@ def kernel(function):
 
 
 def part(function):
-    """A function that becomes a part of the kernels that call it."""
+    """Make a function a part of the kernels that call it."""
     return numba.njit(forceinline=True, error_model="numpy", boundscheck=False, fastmath=FAST)(function)
 
 

@@ -335,7 +335,7 @@ def load_blocks(typing, planes, index, stride):
 
 @intrinsic
 def store_blocks(typing, planes, index, stride, blocks):
-    """The reverse of `load_blocks`."""
+    """Do the reverse of `load_blocks`."""
 
     def emit(context, builder, signature, values):
         for plane, block in zip(_elements(builder, values[0]), _elements(builder, values[3]), strict=True):
@@ -419,7 +419,7 @@ PLAIN = (12, 3, 7, 11, 15, 9, 13, 6, 10, 14)  # lanes with the sums of the other
 
 @intrinsic
 def block_sums(typing, d, dx, dy, others):
-    """Sums over the 16 pixels: of d times 1, dx, dx^2, dy, dx dy, dy^2, and of up to ten other blocks, one per lane.
+    """Sum over the 16 pixels d times 1, dx, dx^2, dy, dx dy, dy^2, and up to ten other blocks; one sum per lane.
 
     dx must be the same in every row, so rows are summed before anything is multiplied by it: four blocks fold into one
     whose four quads hold the sums of their columns.

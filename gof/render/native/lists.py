@@ -90,7 +90,7 @@ def pairs_by_row(bits, widths, rows):
 
 @kernel
 def count_spans(bits, first_row, end_row, first_span):
-    """Number the spans of the Gaussians in a band's rows [first_row, end_row); returns how many there are."""
+    """Count the spans of the Gaussians in a band's rows [first_row, end_row), numbering each one's first."""
     total = 0
     for i in range(len(first_span) - 1):
         first_span[i] = total
@@ -102,7 +102,7 @@ def count_spans(bits, first_row, end_row, first_span):
 
 @kernel
 def find_spans(begin, stop, records, shapes, bits, first_row, end_row, first_span, columns, spans, change):
-    """The spans of Gaussians [begin, stop), and in `change` (rows, columns + 1) where they begin (+1) and end (-1).
+    """Find the spans of Gaussians [begin, stop); note in `change` (rows, columns + 1) where they begin (+1), end (-1).
 
     In the pixel row at dy from its mean a Gaussian reaches alpha 1/255 in x + slope dy +- sqrt(half_width2 - shrink
     dy^2): sixteen pixel rows at a time, of which four are a row of blocks.

@@ -77,7 +77,7 @@ class NativeBlend(dr.CustomOp):
         return planes
 
     def _prepare(self, columns, projected, width, height) -> None:
-        """Records, shapes, and the Gaussians that are drawn by depth."""
+        """Make the records, the shapes, and the list of drawn Gaussians by depth."""
         self.columns, self.rows = -(-width // BLOCK), -(-height // BLOCK)
         if max(self.columns, self.rows) > MOST_BLOCKS:
             raise DataFormatError(f"a picture of {width}x{height} is too large: {MOST_BLOCKS * BLOCK} pixels a side")
@@ -102,7 +102,7 @@ class NativeBlend(dr.CustomOp):
         return as_bands(lists.pairs_by_row(self.bits, self.widths, self.rows), budget)
 
     def _bin(self, first_row: int, end_row: int) -> _Band:
-        """Lists of block rows [first_row, end_row)."""
+        """Make the lists of block rows [first_row, end_row)."""
         columns, rows = self.columns, end_row - first_row
         parts = even_parts(self.n, thread_count())
         first_span = _integers(self.n + 1)

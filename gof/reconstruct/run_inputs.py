@@ -17,7 +17,7 @@ from gof.reconstruct.flow_prior import VOXELS, FlowPrior
 from gof.reconstruct.gas import with_gas_of
 from gof.reconstruct.methods import METHODS
 from gof.reconstruct.observation import Observation, observe
-from gof.reconstruct.optical_flow import Flow, flow_method
+from gof.reconstruct.optical_flow import FlowMethod, flow_method
 from gof.reconstruct.settings import FILE, ReconstructionSettings
 from gof.reconstruct.shrink import shrink
 
@@ -25,7 +25,7 @@ Progress = Callable[..., None]  # progress(done, total)
 
 
 @dataclass(frozen=True)
-class Seen:
+class RunInputs:
     """The input of a run: the dataset at the size that was reconstructed, its observation and its flow field."""
 
     dataset: Dataset
@@ -34,7 +34,7 @@ class Seen:
 
 
 def observation_of(
-    dataset: Dataset, settings: ReconstructionSettings, flow: Flow, progress: Progress | None = None
+    dataset: Dataset, settings: ReconstructionSettings, flow: FlowMethod, progress: Progress | None = None
 ) -> Observation:
     """Pictures, masks, plates and optical flow of the training frames, changed as the ablation wants.
 
@@ -72,9 +72,9 @@ def uses_flow_prior(settings: ReconstructionSettings) -> bool:
     return settings.flow_prior and METHODS[settings.method].flow_prior
 
 
-def see_again(
+def recompute_inputs(
     dataset: Dataset, folder: Path, flow_weights: Path | None = None, progress: Progress | None = None
-) -> Seen:
+) -> RunInputs:
     """Compute the input of the reconstruction in a folder again, by its own settings. Nothing is written.
 
     Args:
@@ -96,4 +96,4 @@ def see_again(
     say = progress or (lambda *done, **stage: None)
     observation = observation_of(small, settings, flow, lambda done, of: say(done, of, stage="motion"))
     field = flow_field_of(small, settings, observation, lambda done, of: say(done, of, stage="flow field"))
-    return Seen(small, observation, field)
+    return RunInputs(small, observation, field)

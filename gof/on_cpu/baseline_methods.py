@@ -77,7 +77,7 @@ REPAIRS = (torchvision_without_its_operators, pictures_of_signed_bytes, no_resta
 
 
 @dataclass(frozen=True)
-class Method:
+class BaselineMethod:
     """One method.
 
     Attributes:
@@ -99,7 +99,7 @@ class Method:
 
 
 METHODS = {
-    "wu": Method(
+    "wu": BaselineMethod(
         title="4D Gaussian Splatting (Wu et al.)",
         repository="hustvl/4DGaussians",
         commit="843d5ac636c37e4b611242287754f3d4ed150144",
@@ -113,7 +113,7 @@ METHODS = {
         needs=("torchvision",),
         export=export.export_wu,
     ),
-    "yang": Method(
+    "yang": BaselineMethod(
         title="4D Gaussian Splatting (Yang et al.)",
         repository="fudan-zvg/4d-gaussian-splatting",
         commit="63725f21d4adc29669e565ae10e6b3ad6e0d1250",
@@ -126,7 +126,7 @@ METHODS = {
         unused=("pointops2_cuda",),
         needs=("torchvision",),
     ),
-    "freetime": Method(
+    "freetime": BaselineMethod(
         title="FreeTimeGsVanilla, a re-implementation of FreeTimeGS",
         repository="raiscui/FreeTimeGsVanilla",
         commit="911dcf4",
@@ -136,7 +136,7 @@ METHODS = {
         needs=("torchvision",),
         gsplat=True,
     ),
-    "grid4d": Method(
+    "grid4d": BaselineMethod(
         title="Grid4D",
         repository="JiaweiXu8/Grid4D",
         commit="c9a93fb7d399d332c27e585ac05f9d6cfa31f250",
@@ -149,7 +149,7 @@ METHODS = {
         unused=("cachetools",),
         export=export.export_grid4d,
     ),
-    "deformable": Method(
+    "deformable": BaselineMethod(
         title="Deformable 3D Gaussians",
         repository="ingra14m/Deformable-3D-Gaussians",
         commit="ac423728df780ee57a82025a6d7c4c7312fdf9bb",
@@ -160,7 +160,7 @@ METHODS = {
         },
         export=export.export_deformable,
     ),
-    "3dgs": Method(
+    "3dgs": BaselineMethod(
         title="code that calls 3D Gaussian Splatting's rasteriser as it was first published",
         repository="graphdeco-inria/gaussian-splatting",
         commit="",
@@ -170,7 +170,7 @@ METHODS = {
             "simple_knn._C": small.simple_knn,
         },
     ),
-    "gsplat": Method(
+    "gsplat": BaselineMethod(
         title="code that calls gsplat",
         repository="nerfstudio-project/gsplat",
         commit="",
@@ -181,7 +181,7 @@ METHODS = {
 }
 
 
-def by_imports(script: Path) -> Method:
+def by_imports(script: Path) -> BaselineMethod:
     """Return a method for code that is not listed: stand-ins by what it imports; packages that it lacks are empty.
 
     Raises:
@@ -197,7 +197,7 @@ def by_imports(script: Path) -> Method:
     modules = {name: build for name, build in modules.items() if name not in ONLY_IF_ABSENT or missing({name})}
     stood_in = ", ".join(modules) or "nothing"
     lacks = f"; not installed, and an error once it is used: {', '.join(absent)}" if absent else ""
-    return Method(
+    return BaselineMethod(
         title=f"a method that is not listed (stand-ins for {stood_in}{lacks})",
         repository="",
         commit="",
