@@ -12,10 +12,9 @@ import numpy as np
 
 from gof.core.errors import DataFormatError, GofError, MissingDependencyError, require_finite
 from gof.host import extras
+from gof.render.ssim import C1, C2, REACH, SIGMA_PX
 
-WINDOW, SIGMA = 11, 1.5  # the Gaussian window of Wang et al. 2004, which the 3DGS literature uses
 MOST_DB = 100.0  # infinity would leave a perfect picture out of every mean, and would be the mean of one
-C1, C2 = 0.01**2, 0.03**2
 
 
 def psnr(image: np.ndarray, truth: np.ndarray, mask: np.ndarray | None = None) -> float | None:
@@ -68,7 +67,7 @@ def ssim_map(image: np.ndarray, truth: np.ndarray) -> np.ndarray:
 
 
 def _blur(x: np.ndarray) -> np.ndarray:
-    kernel = cv2.getGaussianKernel(WINDOW, SIGMA, cv2.CV_64F)
+    kernel = cv2.getGaussianKernel(2 * REACH + 1, SIGMA_PX, cv2.CV_64F)
     return cv2.sepFilter2D(x, cv2.CV_64F, kernel, kernel, borderType=cv2.BORDER_CONSTANT).reshape(x.shape)
 
 

@@ -11,9 +11,7 @@ import torch
 from scipy.spatial import cKDTree
 
 from gof.core.errors import MissingDependencyError
-
-WINDOW, SIGMA = 11, 1.5  # SSIM of 3D Gaussian Splatting
-C1, C2 = 0.01**2, 0.03**2
+from gof.render.ssim import C1, C2, REACH, SIGMA_PX
 
 
 def stand_in(name: str, **contents: Any) -> ModuleType:
@@ -47,19 +45,19 @@ def mean_ssim(img1, img2, padding: str = "same", train: bool = True):
     if padding not in ("same", "valid"):
         raise ValueError(f"fused_ssim: padding is '{padding}'; 'same' or 'valid'")
     channels = img1.shape[1]
-    offset = torch.arange(WINDOW, dtype=img1.dtype) - WINDOW // 2
-    weight = torch.exp(-0.5 * (offset / SIGMA) ** 2)
+    offset = torch.arange(-REACH, REACH + 1, dtype=img1.dtype)
+    weight = torch.exp(-0.5 * (offset / SIGMA_PX) ** 2)
     weight = (weight / weight.sum()).repeat(channels, 1, 1, 1)
 
     def blur(image):
-        across = torch.nn.functional.conv2d(image, weight, padding=(0, WINDOW // 2), groups=channels)
-        return torch.nn.functional.conv2d(across, weight.mT, padding=(WINDOW // 2, 0), groups=channels)
+        across = torch.nn.functional.conv2d(image, weight, padding=(0, REACH), groups=channels)
+        return torch.nn.functional.conv2d(across, weight.mT, padding=(REACH, 0), groups=channels)
 
     mean1, mean2 = blur(img1), blur(img2)
     var1, var2 = blur(img1 * img1) - mean1**2, blur(img2 * img2) - mean2**2
     both = blur(img1 * img2) - mean1 * mean2
     ssim = (2 * mean1 * mean2 + C1) * (2 * both + C2) / ((mean1**2 + mean2**2 + C1) * (var1 + var2 + C2))
-    edge = WINDOW // 2 if padding == "valid" else 0
+    edge = REACH if padding == "valid" else 0
     return ssim[:, :, edge : ssim.shape[2] - edge, edge : ssim.shape[3] - edge].mean()
 
 

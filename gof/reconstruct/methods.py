@@ -15,6 +15,7 @@ from typing import Literal
 import numpy as np
 
 from gof.core.cameras import Camera
+from gof.core.harmonics import C0
 
 MethodName = Literal["gof", "paper"]
 SceneName = Literal["plates", "gaussians"]  # what the flame is drawn in, see `gof.reconstruct.surroundings`
@@ -22,7 +23,6 @@ SceneName = Literal["plates", "gaussians"]  # what the flame is drawn in, see `g
 LAST_SHARE = 0.1  # of a rate, at the last step
 LONGEST_HELD = 2500  # steps; what `held` says of longer runs
 FRAME_MS = 2.5  # of the paper's captures, at 400 Hz; the authors' rates are per ms, ours per frame time
-SH_COLOR = 0.28209479  # display value of a unit of 3DGS' constant colour coefficient
 
 
 @dataclass(frozen=True)
@@ -187,7 +187,7 @@ PAPER = Method(
         scale=0.005,  # 3DGS
         rotation=0.001,  # 3DGS
         opacity=0.025,  # 3DGS
-        color=0.0025 * SH_COLOR,  # 3DGS
+        color=0.0025 * C0,  # 3DGS, of its constant colour coefficient
         plate=0.0,
         beta_2=0.999,  # Adam's own
         held=None,
