@@ -16,6 +16,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 import tyro
+from matplotlib import font_manager
 from PIL import Image, ImageDraw, ImageFont
 
 from gof.core.colour import linear_to_srgb, srgb_to_linear
@@ -27,7 +28,7 @@ from gof_blender.pure.spec import SceneSpec
 
 FIRE_FREE = 64  # frames before the fire
 NOISE = 1 / 255  # of a sensor: no two pictures are equal
-COLUMNS, TEXT_PX, GAP = 3, 13, 8
+COLUMNS, TEXT_PX, LINES, GAP = 3, 12, 6, 8
 SIGNS = {"good": "\N{CHECK MARK}", "look": "!", "bad": "\N{MULTIPLICATION SIGN}"}
 Film = np.ndarray  # (T, H, W, 3) display values in [0, 1]
 
@@ -150,17 +151,17 @@ def _tile(frame: np.ndarray, name: str, found: list[Finding]) -> Image.Image:
     """Return a picture with its name above it, and below it what is said."""
     picture = Image.fromarray(np.rint(255 * np.clip(frame, 0, 1)).astype(np.uint8))
     picture = picture.resize((240, round(240 * picture.height / picture.width)), Image.Resampling.LANCZOS)
-    font = ImageFont.load_default(TEXT_PX)
+    small, large = (ImageFont.truetype(font_manager.findfont("DejaVu Sans"), px) for px in (TEXT_PX, TEXT_PX + 2))
     lines = [f"{SIGNS['good']} nothing to mend"] if not found else []
     for finding in found[:3]:
-        lines += _wrapped(f"{SIGNS[finding.verdict]} {finding.words}", font)
-    tile = Image.new("RGB", (picture.width, picture.height + (TEXT_PX + 4) * 8), "white")
+        lines += _wrapped(f"{SIGNS[finding.verdict]} {finding.words}", small)
+    tile = Image.new("RGB", (picture.width, picture.height + (TEXT_PX + 3) * (LINES + 1) + 8), "white")
     draw = ImageDraw.Draw(tile)
-    draw.text((0, 0), name, "black", ImageFont.load_default(TEXT_PX + 2))
+    draw.text((0, 0), name, "black", large)
     tile.paste(picture, (0, TEXT_PX + 8))
-    for row, line in enumerate(lines[:6]):
+    for row, line in enumerate(lines[:LINES]):
         at = (0, TEXT_PX + 12 + picture.height + row * (TEXT_PX + 3))
-        draw.text(at, line, "#8a2a00" if found else "#1a6b1a", font)
+        draw.text(at, line, "#8a2a00" if found else "#1a6b1a", small)
     return tile
 
 
