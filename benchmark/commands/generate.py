@@ -20,7 +20,7 @@ from gof_benchmark.scenes import claimed, load_scene
 from gof_blender.core.checked_json import SpecError
 from gof_blender.pure import dataset_process
 from gof_blender.pure.child import JobError, python
-from gof_blender.pure.layout import Layout, leaving
+from gof_blender.pure.layout import Layout, warnings_of_bake
 from gof_blender.pure.plausibility import require_sense
 from gof_blender.pure.spec import SceneSpec
 
@@ -97,7 +97,7 @@ def main(argv: list[str]) -> int:
             _make(spec, layout, log, config)
     if to_do:
         print(_summary(log.costs()))
-        for note in leaving(layout):
+        for note in warnings_of_bake(layout):
             console().print("note:", note, style="yellow")
     costs = asdict(log.costs())
     write_figures({"dataset": str(layout.root), "wall_s": costs["wall_s"], "stages": costs["stages"]})

@@ -307,17 +307,26 @@ def _link_or_copy(source: str, target: str) -> None:
         shutil.copyfile(source, target)
 
 
-def leaving(layout: Layout) -> list[str]:
-    """Return a finished bake's warning of a flame that reaches the domain's sides, where it is cut off; nothing of
-    others."""
+def warnings_of_bake(layout: Layout) -> list[str]:
+    """Return a finished bake's warnings: a flame that reaches the domain's sides, where it is cut off, and gas that is
+    faster than gas can be; nothing of others."""
     if not layout.bake_marker.is_file():
         return []
-    cut = read_json(layout.bake_marker).get("cut_off", {})
+    seen = read_json(layout.bake_marker)
     of_grids = layout.spec.is_file() and read_json(layout.spec).get("fire", {}).get("grids")
     way_out = "only its solver can give it a larger box" if of_grids else "make domain.size larger there"
-    return [
+    warnings = [
         f"the flame leaves the domain through its {side} ({100 * share:.0f} % of its widest section), where pictures "
         f"and truth end: {way_out}"
-        for side, share in cut.items()
+        for side, share in seen.get("cut_off", {}).items()
         if share >= CUT_OFF
     ]
+    fastest, most = seen.get("fastest_m_s"), seen.get("most_m_s")
+    if fastest is not None and most is not None and fastest > most:
+        remedy = "are the grids in m/s?"
+        if not of_grids:
+            remedy = "the solver ran away, and its truth is no fire's; lower the effect vorticity"
+        warnings.append(
+            f"gas reaches {fastest:.0f} m/s, and heat makes at most {most:.0f} m/s in this domain: {remedy}"
+        )
+    return warnings

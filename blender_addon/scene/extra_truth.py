@@ -11,6 +11,7 @@ import bpy
 import numpy as np
 
 from ..core.grid_writer import GridWriter
+from ..pure.effects import wind
 from ..pure.io import projected_flow, vdb_file
 from ..pure.layout import Layout
 from ..pure.spec import SceneSpec
@@ -64,9 +65,11 @@ def flow(spec: SceneSpec, layout: Layout, source: FlameSource, progress) -> None
 
 
 # ----------------------------------------------------------------
-# Whether the domain cuts the flame off, measured once it is simulated.
+# Whether the domain cuts the flame off, and whether the gas is as fast as gas can be, measured once it is simulated.
 
 LOOKED_AT = 4  # frames of the clip
+GRAVITY = 9.81  # m/s2
+HOTTEST = 7.0  # air's density over that of flame gas, at some 2050 K
 SIDES = {"top": (2, -1), "-x side": (0, 0), "+x side": (0, -1), "-y side": (1, 0), "+y side": (1, -1)}
 """Axis and end. Not the bottom: burners stand there."""
 
@@ -83,3 +86,22 @@ def cut_off(spec: SceneSpec, source: FlameSource) -> dict[str, float]:
             if sections.max() > 0:
                 shares[side] = max(shares[side], float(sections[end] / sections.max()))
     return {side: round(share, 4) for side, share in shares.items()}
+
+
+def speeds(spec: SceneSpec, source: FlameSource) -> dict[str, float | None]:
+    """Return how fast the gas is, and the most that heat, jet and wind can make of it, m/s; a solver that runs away
+    grows, so the clip's last frame is looked at, and the speed that a thousandth of its cells exceeds.
+
+    Gas that is HOTTEST times lighter than air and rises through the whole domain has sqrt(2 g (HOTTEST - 1) height).
+    The most is None where nothing is known: constants of a solver that are no physics, wind in units of a field.
+    """
+    velocity = source.velocity(spec.timeline.blender_frame(spec.clip.frames - 1))
+    fastest = float(np.quantile(np.linalg.norm(velocity, axis=-1), 0.999))
+    height = velocity.shape[2] * float(np.linalg.norm(source.index_to_world[:3, 2]))
+    most = np.sqrt(2 * GRAVITY * (HOTTEST - 1) * height) + getattr(spec.fire, "jet_speed", 0.0)
+    for effect in spec.effects:
+        most += effect.strength if isinstance(effect, wind.Settings) else 0.0
+    unknown = getattr(spec.fire, "speeds", "") == "solver" or any(
+        isinstance(effect, wind.Settings) and effect.unit == "field" for effect in spec.effects
+    )
+    return {"fastest_m_s": round(fastest, 2), "most_m_s": None if unknown else round(float(most), 2)}

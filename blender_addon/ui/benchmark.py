@@ -14,7 +14,7 @@ from ..pure import cost_model, dataset_process
 from ..pure import spec as spec_file
 from ..pure.dataset_process import Job, expected_s, left_s
 from ..pure.effects import changes_bake, name_of
-from ..pure.layout import Layout, leaving
+from ..pure.layout import Layout, warnings_of_bake
 from ..pure.plausibility import require_sense
 from ..pure.presets import PRESETS
 from ..pure.spec import BACKGROUND, BlendFile, SceneSpec
@@ -310,7 +310,7 @@ class GOF_PT_benchmark(SidebarPanel, bpy.types.Panel):
         _draw_cost(layout.box(), context, spec, folders)
         if _brings_its_scene(spec, folders) and not folders.bake_marker.is_file():
             notes += _in_this_scene(context, spec, again=False)
-        for note in (*notes, *_unused(context.scene), *leaving(folders)):
+        for note in (*notes, *_unused(context.scene), *warnings_of_bake(folders)):
             write_lines(layout, context, in_benchmark_panel(context.scene, note), "INFO")
         begun = folders.spec.is_file()
         layout.operator(

@@ -76,10 +76,10 @@ def bake(spec: SceneSpec, layout: Layout, progress: Reporter) -> None:
     write_json(layout.bake_begun, {"blender": bpy.app.version_string})
     source = flame_source(spec)
     source.bake(layout, progress)
-    cut_off = extra_truth.cut_off(spec, source)
+    seen = {"cut_off": extra_truth.cut_off(spec, source), **extra_truth.speeds(spec, source)}
     bpy.context.scene.frame_set(spec.timeline.first_frame)
     _save_blend(layout)
-    write_json(layout.bake_marker, {"frames": total, "blender": bpy.app.version_string, "cut_off": cut_off})
+    write_json(layout.bake_marker, {"frames": total, "blender": bpy.app.version_string, **seen})
     layout.prune_bake(spec.timeline.steps_needed, finished=True)  # not before: without state, no bake goes on
 
 
