@@ -74,7 +74,7 @@ def test_gas_that_is_faster_than_gas_can_be_is_said(tmp_path):
     layout.hidden.mkdir()
     layout.bake_marker.write_text(json.dumps(found["wild"]))
     (note,) = warnings_of_bake(layout)
-    assert "gas reaches 30 m/s, where heat makes at most 12 m/s" in note and "vorticity" in note
+    assert "gas reaches 30 m/s, and heat makes at most 12 m/s in this domain" in note and "vorticity" in note
     layout.spec.write_text(json.dumps({"fire": {"grids": "elsewhere"}}))
     assert "are the grids in m/s?" in warnings_of_bake(layout)[0]
     for name in ("calm", "solver", "field"):
