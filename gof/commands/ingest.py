@@ -83,7 +83,7 @@ class IngestConfig:
     """JSON of correspondences by hand, see docs/ingest.md; points with xyz also give the scale."""
     board: str = "auto"
     """Sync board in the pictures: "auto" recognises a built-in one (gof_board, paper_rig); or its name, or the JSON
-    file of your own; "none" does not look."""
+    file of your own; "none" does not look. A board that gave --times is masked, unless "none"."""
     marker_mm: Millimetres | None = None
     """Side of the board's marker: gives the scale."""
     baseline_m: Metres | None = None
@@ -115,7 +115,7 @@ class IngestConfig:
         """Return the times by --times, and the frames to use; "sync" is a file beside the dataset `out`. Raises
         GofError: it is neither a file, nor rates, nor "sync", nor "stamps"."""
         times, rates, stamps = read_times((str(out / SYNC / FILE),) if self.times == (SYNC,) else self.times)
-        return Timing(times, rates, stamps, self.start, self.frames)
+        return Timing(times, rates, stamps, self.start, self.frames, self.board != "none")
 
     def plate_options(self) -> PlateOptions:
         """Return the plates' source by --plates. Raises GofError: a number of frames that is none."""

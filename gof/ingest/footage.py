@@ -179,9 +179,10 @@ class Footage:
         """Return which of `count` frames are held out."""
         return held_out(count)
 
-    def board_mask(self, camera: int) -> np.ndarray | None:
-        """Return (H, W) uint8, 255 on the LED board, of the prepared picture; None where nothing says so beforehand."""
-        return None
+    def board_mask(self, camera: int, stored: np.ndarray | None) -> np.ndarray | None:
+        """Return (H, W) uint8, 255 on the LED board, of the prepared picture, from that of the stored one, if there is
+        one."""
+        return None if stored is None else self.preparation(camera)(stored)
 
     def write_beside(self, out: Path) -> None:
         """Write into the dataset what only this kind of footage has: nothing."""

@@ -175,7 +175,7 @@ def _make(
         **({"rig_clips": [other.videos[0].parent.name for other in others]} if others else {}),
         **footage.provenance,
     }
-    boards = [footage.board_mask(c) for c in range(len(clips))]
+    boards = [footage.board_mask(c, board) for c, board in enumerate(times.boards or [None] * len(clips))]
     made_from = derived_files(stored, placed, plate.folder is None)
     with log.measure("write"), watched("write", clips) as seen:
         for view, clip, board in zip(stored, seen, boards, strict=True):
