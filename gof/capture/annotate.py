@@ -75,11 +75,12 @@ def annotate(
             notes[camera.name] = f"no board mask: {e}" + ("" if footage else " Small pictures? Give the --footage")
             continue
         name = f"cameras/{camera.name}/board_mask.png"
+        path = path_in(dataset.path, name)
         if objection := objection_to(mask):
             notes[camera.name] = objection
             continue
         mask = cv2.resize(mask, (camera.width, camera.height), interpolation=cv2.INTER_AREA)
-        write_picture(path_in(dataset.path, name), mask)
+        write_picture(path, mask)
         entries[camera.name] = replace(entry, board_mask=name)
         if not footage:
             made_from[name] = tuple(dataset.train_frames[:LOOK_AT])
