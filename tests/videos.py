@@ -109,6 +109,21 @@ def _described(path: Path, kind: bytes, box: bytes) -> Path:
     return path
 
 
+def tag_focal(path: Path, kind: int, value: bytes, key: bytes = b"camera.focal_length.35mm_equivalent") -> Path:
+    """Write a value into the film track's metadata, as Apple's phones do; its kind is a number of QuickTime's."""
+    name = b"com.apple.quicktime." + key
+    keys = (
+        struct.pack(">II", 0, 2) + struct.pack(">I4s", 9, b"mdta") + b"a" + struct.pack(">I4s", 8 + len(name), b"mdta")
+    )
+    data = _joined([(b"data", struct.pack(">II", kind, 0) + value)])
+    other = _joined([(b"data", struct.pack(">II", 1, 0) + b"else")])
+    items = _joined([(struct.pack(">I", 1), other), (struct.pack(">I", 2), data)])
+    handler = struct.pack(">II4s", 0, 0, b"mdta") + bytes(13)
+    meta = _joined([(b"hdlr", handler), (b"keys", keys + name), (b"ilst", items)])
+    path.write_bytes(_changed(path.read_bytes(), b"trak", lambda content: content + _joined([(b"meta", meta)])))
+    return path
+
+
 def set_date(path: Path, since_1904_s: int) -> Path:
     """When the file was made."""
 

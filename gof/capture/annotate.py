@@ -11,8 +11,9 @@ from typing import get_args
 
 import numpy as np
 
+from gof.capture.board_mask import board_mask, in_words, objection_to, outlines_of
 from gof.capture.board_points import BoardPoints
-from gof.capture.locate import BoardInImage, BoardNotFound, Summary, locate
+from gof.capture.locate import BoardNotFound, Summary, locate
 from gof.capture.template import BoardTemplate
 from gof.core.errors import DataFormatError, GofError
 from gof.core.files import path_in
@@ -22,7 +23,6 @@ from gof.footage.pictures import write_picture
 from gof.footage.videos import stored_frames
 
 LOOK_AT = 160  # frames in which the board is looked for
-MUCH_COVERED, MOST_COVERED = 0.25, 0.6  # of the picture; the published clips have 0.08 to 0.15
 TURNS: dict[int, Turn] = {ROLL_DEG[turn]: turn for turn in get_args(Turn)}
 
 
@@ -47,6 +47,8 @@ def annotate(
         GofError: another number of videos than cameras, or in another order than when the dataset was made.
         DataFormatError: see `read_cameras`; footage of another size than the lens; a roll that is no turn.
     """
+    import cv2
+
     count = len(dataset.cameras)
     if footage and len(footage) != count:
         raise GofError(f"--footage: give one video per camera of the dataset ({count}), in their order")
@@ -73,19 +75,16 @@ def annotate(
             notes[camera.name] = f"no board mask: {e}" + ("" if footage else " Small pictures? Give the --footage")
             continue
         name = f"cameras/{camera.name}/board_mask.png"
-        path, covered = path_in(dataset.path, name), float((mask > 127).mean())
-        if covered > MOST_COVERED:
-            notes[camera.name] = (
-                f"no board mask: what was taken for the board covers {covered:.0%} of the picture, and the flame with "
-                "it: is it the right board (--board), whole and sharp?"
-            )
+        path = path_in(dataset.path, name)
+        if objection := objection_to(mask):
+            notes[camera.name] = objection
             continue
-        share = _write_mask(mask, (camera.width, camera.height), path)
+        mask = cv2.resize(mask, (camera.width, camera.height), interpolation=cv2.INTER_AREA)
+        write_picture(path, mask)
         entries[camera.name] = replace(entry, board_mask=name)
         if not footage:
             made_from[name] = tuple(dataset.train_frames[:LOOK_AT])
-        much = "; that is much: look at it, it hides what is behind it from scores" if share > MUCH_COVERED else ""
-        notes[camera.name] = f"board mask, {share:.1%} of the picture{much}"
+        notes[camera.name] = in_words(mask)
     replace(dataset.description, cameras=tuple(entries.values()), made_from=made_from).write(dataset.path)
     return notes
 
@@ -110,7 +109,7 @@ def find_mask(pictures: Iterable[np.ndarray], template: BoardTemplate, points: B
         summary.add(picture)
     board = locate(summary, template, points=points)
     height, width = summary.low.shape
-    return np.rint(255 * board_mask(board, template, (width, height))).astype(np.uint8)
+    return board_mask(outlines_of(board, template), board.marker_px, (width, height))
 
 
 def mask_from_footage(
@@ -133,42 +132,3 @@ def _turn(entry: CameraEntry, dataset: Path) -> Turn:
     if round(entry.roll_deg) not in TURNS:
         raise DataFormatError(f"{dataset}/dataset.json: camera '{entry.name}': roll_deg must be one of {list(TURNS)}")
     return TURNS[round(entry.roll_deg)]
-
-
-def _write_mask(mask: np.ndarray, size: tuple[int, int], path: Path) -> float:
-    """Write it at this (width, height); returns the share of the picture that it covers."""
-    import cv2
-
-    mask = cv2.resize(mask, size, interpolation=cv2.INTER_AREA)
-    write_picture(path, mask)
-    return float((mask > 127).mean())
-
-
-# ----------------------------------------------------------------
-# Soft mask of the LED board: its flicker is neither fire nor an error of a picture.
-
-
-def board_mask(
-    board: BoardInImage, template: BoardTemplate, size: tuple[int, int], margin: float = 0.25, feather: float = 0.35
-) -> np.ndarray:
-    """Return the share of each pixel that belongs to the board: 1 on it, 0 away from it.
-
-    Args:
-        size: (width, height) of the picture.
-        margin: how far around outline and strips it stays 1, in marker sides; glow reaches further than the board.
-        feather: width of the ramp beyond it, in marker sides, > 0.
-    Returns:
-        (H, W) float32 in [0, 1].
-    """
-    import cv2
-
-    width, height = size
-    covered = np.zeros((height, width), np.uint8)
-    outline = cv2.perspectiveTransform(template.outline.reshape(1, -1, 2), board.marker_to_image)[0]
-    # The strips are mounted off the marker's plane: take them from where they were found.
-    strips = cv2.convexHull(board.strip.reshape(-1, 2).astype(np.float32))[:, 0]
-    for polygon in (outline, strips):
-        cv2.fillPoly(covered, [np.round(polygon - 0.5).astype(np.int32)], (255,))
-    side = float(np.linalg.norm(board.corners[0] - board.corners[1]))
-    distance = cv2.distanceTransform(255 - covered, cv2.DIST_L2, 5)
-    return np.clip(1 - (distance - margin * side) / (feather * side), 0, 1).astype(np.float32)

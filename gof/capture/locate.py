@@ -44,6 +44,11 @@ class BoardInImage:
     strip_visible: np.ndarray
     strip_normal: np.ndarray
 
+    @property
+    def marker_px(self) -> float:
+        """Mean side of the marker."""
+        return float(np.linalg.norm(np.diff(self.corners, axis=0), axis=1).mean())
+
 
 class Summary:
     """Per-pixel minimum, maximum and a mid picture of the first frames, in one pass and three images of memory."""

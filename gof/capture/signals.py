@@ -39,7 +39,7 @@ class Signals:
     @property
     def marker_px(self) -> float:
         """Mean side of the marker."""
-        return float(np.linalg.norm(np.diff(self.board.corners, axis=0), axis=1).mean())
+        return self.board.marker_px
 
 
 def read_signals(

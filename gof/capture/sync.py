@@ -11,6 +11,7 @@ from typing import ClassVar
 
 import numpy as np
 
+from gof.capture.board_mask import Outlines, outlines_of
 from gof.capture.board_points import BoardPoints
 from gof.capture.decode import CameraTimes, DecodeOptions, decode
 from gof.capture.flame_clock import estimate_times, read_light
@@ -129,12 +130,13 @@ def _most_us(board: BoardTemplate | RingBoard) -> float:
 
 @dataclass(frozen=True)
 class _Decoded:
-    """A video's times, its size (width, height), the marker's mean side in px, and the seconds it took to read and to
-    decode them."""
+    """A video's times, its size (width, height), the marker's mean side in px, the polygons that the board covers, and
+    the seconds it took to read and to decode them."""
 
     times: CameraTimes
     image_size: tuple[int, int]
     marker_px: float
+    board_px: Outlines
     read_s: float
     decode_s: float
 
@@ -170,7 +172,9 @@ def _decode_video(
     shown = len(times.used) - times.hidden
     if why := refusal(times.rms_us, times.systematic_us, outliers, shown, _most_us(template)):
         raise NotDecodable(why)
-    return _Decoded(times, signals.image_size, signals.marker_px, read - start, time.perf_counter() - read)
+    # A ring board may be carried about: it has no one place.
+    place = () if isinstance(template, RingBoard) else outlines_of(strips.board, template)
+    return _Decoded(times, signals.image_size, signals.marker_px, place, read - start, time.perf_counter() - read)
 
 
 def _settle_counts(decoded: dict[str, CameraTimes], period: float) -> list[str]:
@@ -278,6 +282,7 @@ def _describe(found: _Decoded, container_fps: float | None) -> VideoTimes:
             round(found.decode_s, 2),
             round(len(t.time_us) / (found.read_s + found.decode_s), 1),
         ),
+        board_px=found.board_px,
     )
 
 

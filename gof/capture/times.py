@@ -6,6 +6,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import ClassVar, Literal
 
+from gof.capture.board_mask import Outlines
+
 FILE = "times.json"
 Readout = Literal["down", "up", "left", "right"]
 Clock = Literal["board", "flame", "sound"]
@@ -68,6 +70,8 @@ class VideoTimes:
         clock: "board": read from it; "flame": estimated from other cameras' flame (`gof.capture.flame_clock`), all
             frames by `systematic_us` alike; nothing is known of gaps then. "sound": by the films' sound
             (`gof.capture.boardless`), and so are the frames' own time stamps.
+        board_px: polygons that the board covers in the stored picture (`gof.capture.board_mask`); empty where no board
+            with strips is seen; None in older files.
     """
 
     width: int
@@ -92,6 +96,7 @@ class VideoTimes:
     warnings: tuple[str, ...]
     cost: DecodingCost
     clock: Clock = "board"
+    board_px: Outlines | None = None
 
     @classmethod
     def estimated(
@@ -129,6 +134,7 @@ class VideoTimes:
             warnings=(warning,) if warning else (),
             cost=DecodingCost(0.0, 0.0, 0.0),
             clock=clock,
+            board_px=(),
         )
 
 

@@ -32,7 +32,6 @@ a session:
   gof capture check-footage cam_0.mp4 cam_1.mp4 cam_2.mp4     is it worth the work? while you can film again
   gof capture sync cam_0.mp4 cam_1.mp4 cam_2.mp4 --out sync   sync/times.json, sync/residuals_cam_0.png ...
   gof ingest cam_0.mp4 cam_1.mp4 cam_2.mp4 --times sync/times.json --cameras cameras.json --out data/fire
-  gof capture annotate data/fire --footage cam_0.mp4 cam_1.mp4 cam_2.mp4 --cameras cameras.json
   gof reconstruct data/fire --out out/fire
 """
 

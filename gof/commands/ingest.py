@@ -18,13 +18,16 @@ from gof.commands.everywhere import require_writable, write_figures
 from gof.commands.read import Degrees, Metres, Millimetres, Pixels, read_options
 from gof.core.costs import StageLog
 from gof.core.errors import GofError
+from gof.dataset import Dataset
 from gof.dataset.poses import UpReport
+from gof.footage.containers import focal_35mm
 from gof.footage.lens import Turn
 from gof.footage.videos import require_different, stated_fps
 from gof.host.options import require_all_positive, require_number, require_positive
 from gof.ingest.accelerometer import read_tilt
 from gof.ingest.evidence import KnownRig, PoseOptions, Solver
 from gof.ingest.fire_free import PlateKind, PlateOptions
+from gof.ingest.focal import is_findable, phones_in_words
 from gof.ingest.footage import Footage
 from gof.ingest.frame_times import Timing
 from gof.ingest.marked_points import read_points
@@ -69,8 +72,9 @@ class IngestConfig:
     in the videos' order, or one entry for all. With world_to_camera (of the upright picture, metres) for all, poses are
     not solved."""
     fov: Degrees | None = None
-    """Horizontal field of view of the stored pictures, for all cameras, when there is no --cameras. A phone stores an
-    upright video lying, with a rotation tag: then it is along the long side."""
+    """Horizontal field of view of the stored pictures, for all cameras, when there is no --cameras. When not given, the
+    matches of three cameras or more tell it, or the files. A phone stores an upright video lying, with a rotation tag:
+    then it is along the long side."""
     turn: tuple[Turn | Literal["auto"], ...] = ("auto",)
     """Turn that makes the stored pictures upright, one for all or one each; "auto": by the file's rotation tag (phones
     write it)."""
@@ -83,7 +87,7 @@ class IngestConfig:
     """JSON of correspondences by hand, see docs/ingest.md; points with xyz also give the scale."""
     board: str = "auto"
     """Sync board in the pictures: "auto" recognises a built-in one (gof_board, paper_rig); or its name, or the JSON
-    file of your own; "none" does not look."""
+    file of your own; "none" does not look. A board that gave --times is masked, unless "none"."""
     marker_mm: Millimetres | None = None
     """Side of the board's marker: gives the scale."""
     baseline_m: Metres | None = None
@@ -115,7 +119,7 @@ class IngestConfig:
         """Return the times by --times, and the frames to use; "sync" is a file beside the dataset `out`. Raises
         GofError: it is neither a file, nor rates, nor "sync", nor "stamps"."""
         times, rates, stamps = read_times((str(out / SYNC / FILE),) if self.times == (SYNC,) else self.times)
-        return Timing(times, rates, stamps, self.start, self.frames)
+        return Timing(times, rates, stamps, self.start, self.frames, self.board != "none")
 
     def plate_options(self) -> PlateOptions:
         """Return the plates' source by --plates. Raises GofError: a number of frames that is none."""
@@ -183,7 +187,7 @@ def ingest(config: IngestConfig) -> Ingested:
         marker_m=None if config.marker_mm is None else config.marker_mm / 1000,
         baseline_m=config.baseline_m,
         flame_height_m=config.flame_height_m,
-        rig=KnownRig.read(config.rig, footage.upright_lenses) if config.rig else None,
+        rig=known_rig(config.rig, footage) if config.rig else None,
         up=config.up,
         tilts=tuple(map(read_tilt, footage.videos, footage.turns)) if config.up in TAGGED else (),
     )
@@ -196,6 +200,17 @@ def ingest(config: IngestConfig) -> Ingested:
         max_size=config.max_size,
         others=tuple(other_clip(footage, folder) for folder in config.with_clip),
     )
+
+
+def known_rig(folder: Path, footage: Footage) -> KnownRig:
+    """Return the rig of a dataset. Raises GofError: the footage's lenses are not known; see `KnownRig.read`."""
+    if footage.search is not None:
+        said = Dataset.open(folder).description.provenance.get("fov_deg")
+        raise GofError(
+            f"--rig {folder}: its poses hold for its lenses; give them with --fov or --cameras"
+            + (f" (it has a field of view of {said[0]:g} degrees)" if said else "")
+        )
+    return KnownRig.read(folder, footage.upright_lenses)
 
 
 def _default_out(videos: list[Path]) -> Path:
@@ -219,7 +234,7 @@ def require_what_no_file_says(config: IngestConfig, argv: list[str]) -> None:
     """Raise GofError: times or lenses are not given. Names all that is missing, and a whole command that has it."""
     if is_published(config.videos):
         return
-    missing, more = [], []
+    missing, more, hint = [], [], ""
     if not config.times:
         missing.append(
             "when the frames were taken: --times with the true capture rate, with times.json of 'gof capture sync', "
@@ -227,15 +242,17 @@ def require_what_no_file_says(config: IngestConfig, argv: list[str]) -> None:
             "them)"
         )
         more += ["--times", f"{_stated_rate(config.videos[0]):.6g}"]
-    if config.cameras is None and config.fov is None:
+    stated = [focal_35mm(video) if video.is_file() else None for video in config.videos]
+    if config.cameras is None and config.fov is None and not is_findable(stated):
         missing.append(
-            "through which lenses: --fov with the horizontal field of view in degrees, or --cameras cameras.json of "
-            "'gof capture calibrate'"
+            "through which lenses, which only three cameras or more find by themselves: --fov with the horizontal "
+            "field of view in degrees, or --cameras cameras.json of 'gof capture calibrate'"
         )
         more += ["--fov", "70"]
+        hint = f". {phones_in_words()}"
     if missing:
         command = shlex.join(["gof", "ingest", *argv, *more])
-        raise GofError(f"no file says {'; nor '.join(missing)}. With your own numbers: {command}")
+        raise GofError(f"no file says {'; nor '.join(missing)}{hint}. With your own numbers: {command}")
 
 
 def _stated_rate(video: Path) -> float:
@@ -310,6 +327,8 @@ def main(argv: list[str]) -> int:
     stages = StageLog(result.folder / "costs.json").stages()
     for stage in stages:
         print(f"{stage.name:<8} {stage.seconds:7.1f} s {stage.peak_mb:6.0f} MB")
+    if result.lens is not None:
+        print(f"lens: {result.lens}")
     print(f"poses from {report.method}; scale: {report.scale}")
     for other, shifts in (report.moved or {}).items():
         print(f"same rig as {other}: its pictures lie within {max(shifts.values()):.2f} px of these")
@@ -321,6 +340,7 @@ def main(argv: list[str]) -> int:
     print(f"dataset -> {result.folder}; next: gof reconstruct {result.folder}")
     summary = {
         "dataset": str(result.folder),
+        "lens": result.lens,
         "notes": result.notes,
         "poses": asdict(report),
         "stages": [asdict(s) for s in stages],

@@ -14,6 +14,8 @@ from gof.footage.colour import UNKNOWN, UNSAID, Colour
 MOST_READ = 1 << 20  # bytes at the beginning of an AVI or Matroska file in which its tracks are listed
 FROM_1904_TO_1970 = 2_082_844_800  # s; MP4 counts from 1904
 HIGH_PROFILES = (100, 110, 122, 244, 44, 83, 86, 118, 128, 138, 139, 134, 135)  # of H.264, which state a chroma format
+FOCAL_KEY = b"com.apple.quicktime.camera.focal_length.35mm_equivalent"
+LONGEST_FOCAL_MM = 10_000.0
 DAMAGED = (struct.error, IndexError, ValueError, OverflowError)  # a file that is wrong here is OpenCV's to refuse
 
 
@@ -83,6 +85,53 @@ def made_at(path: Path) -> int | None:
     except DAMAGED:
         return None
     return since_1904 - FROM_1904_TO_1970 if since_1904 > FROM_1904_TO_1970 else None
+
+
+def focal_35mm(path: Path) -> float | None:
+    """Return the focal length for 35 mm film, mm, that an MP4 or MOV file states for its film; None where it does not.
+
+    Apple's phones write it among the film track's metadata (QuickTime File Format, "Metadata"), as text or a number.
+    """
+    try:
+        with path.open("rb") as file:
+            header = read_header(file)
+        places = [(0, len(header)), *boxes(header, 0, len(header), b"trak")]
+        found = [value for place in places for value in _metadata(header, *place, FOCAL_KEY)]
+        stated = [float(value) for value in found if 0 < value < LONGEST_FOCAL_MM]
+    except DAMAGED:
+        return None
+    return stated[0] if len(set(stated)) == 1 else None
+
+
+def _metadata(header: bytes, start: int, end: int, key: bytes) -> Iterator[float]:
+    """Yield the numbers that a box `meta` gives to this key."""
+    meta = inside(header, start, end, b"meta")
+    if meta is None:
+        return
+    # MP4's box begins with a version, QuickTime's does not.
+    meta = meta if header[meta[0] + 4 : meta[0] + 8] == b"hdlr" else (meta[0] + 4, meta[1])
+    keys, items = inside(header, *meta, b"keys"), inside(header, *meta, b"ilst")
+    if keys is None or items is None:
+        return
+    at = keys[0] + 8
+    for number in range(1, struct.unpack_from(">I", header, keys[0] + 4)[0] + 1):
+        size = struct.unpack_from(">I", header, at)[0]
+        if size < 8 or at + size > keys[1]:
+            return
+        if header[at + 8 : at + size] == key:
+            for item in boxes(header, *items, struct.pack(">I", number)):
+                for place, last in boxes(header, *item, b"data"):
+                    yield _number(struct.unpack_from(">I", header, place)[0], header[place + 8 : last])
+        at += size
+
+
+def _number(kind: int, value: bytes) -> float:
+    """Return a value of QuickTime's metadata: text that begins with a number, a float, or a whole number."""
+    if kind == 1:
+        return float(value.decode().strip().removesuffix("mm"))
+    if kind in (23, 24):
+        return float(struct.unpack(">f" if kind == 23 else ">d", value)[0])
+    return float(int.from_bytes(value, "big"))
 
 
 # ---- containers ------------------------------------------------------------------------------------------------------

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
 from typing import ClassVar, Literal
@@ -48,6 +48,25 @@ class Lens:
             raise DataFormatError(f"a horizontal field of view of {fov_deg} degrees; it must lie between 0 and 180")
         focal = 0.5 * width / np.tan(np.deg2rad(fov_deg) / 2)
         return cls(width, height, np.array([[focal, 0, width / 2], [0, focal, height / 2], [0, 0, 1]]))
+
+    @property
+    def fov_deg(self) -> float:
+        """Horizontal field of view of a picture whose principal point is its middle."""
+        return float(2 * np.rad2deg(np.arctan(self.width / 2 / self.K[0, 0])))
+
+    @property
+    def long_fov_deg(self) -> float:
+        """Field of view along the longer side."""
+        longer = int(self.height > self.width)
+        return float(2 * np.rad2deg(np.arctan(max(self.width, self.height) / 2 / self.K[longer, longer])))
+
+    def seeing(self, long_fov_deg: float) -> Lens:
+        """Return the lens that sees so much along the longer side."""
+        return self.magnified(float(np.tan(np.deg2rad(self.long_fov_deg / 2)) / np.tan(np.deg2rad(long_fov_deg / 2))))
+
+    def magnified(self, factor: float) -> Lens:
+        """Return the lens of so many times the focal lengths."""
+        return replace(self, K=self.K * np.array([[factor, factor, 1], [factor, factor, 1], [1, 1, 1]]))
 
     def turned(self, turn: Turn) -> Lens:
         """Return the pinhole that remains after undistorting and turning the pictures."""

@@ -19,7 +19,7 @@ import numpy as np
 from gof.core.errors import DataFormatError
 from gof.core.numbered import frame_of, is_hidden, number_files
 from gof.footage.colour import UNKNOWN, Colour
-from gof.footage.containers import codes_fields, film_track, made_at, video_tracks
+from gof.footage.containers import codes_fields, film_track, focal_35mm, made_at, video_tracks
 from gof.footage.defects import FrameChanges, find_combs
 from gof.footage.pictures import read_picture, read_rotation
 
@@ -55,6 +55,7 @@ class VideoInfo:
         two_fields: container or codec allow interlaced frames.
         repeated: numbers of the frames that show the one before again, see `gof.footage.defects`.
         made_s: when the file says that it was made, s since 1970; None: it does not.
+        focal_35mm: focal length for 35 mm film that the file states, mm; None: it does not.
     """
 
     path: Path
@@ -71,6 +72,7 @@ class VideoInfo:
     pixel_aspect: float = 1.0
     start_s: float = 0.0
     made_s: int | None = None
+    focal_35mm: float | None = None
     two_fields: bool = False
     colour: str = ""
     repeated: tuple[int, ...] = ()
@@ -347,6 +349,7 @@ def stated_info(path: Path) -> VideoInfo:
             fingerprint=fingerprint(path),
             pixel_aspect=(stated("SAR_NUM") or 1.0) / (stated("SAR_DEN") or 1.0),
             made_s=made_at(path),
+            focal_35mm=focal_35mm(path),
             colour=colour_of(path).name,
             two_fields=any(track.interlaced for track in video_tracks(path)[:1])
             or codes_fields(int(stated("FOURCC") or 0).to_bytes(4, "little"), _description(path)),

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import dataclass, replace
 from itertools import product
 
 import numpy as np
 
 from gof.dataset.poses import PointCheck
 from gof.footage.lens import STRAIGHT, Lens
-from gof.ingest.bundle import BundleParameters, Sightings, adjust
+from gof.ingest.bundle import BundleParameters, Sightings, adjust, misfit
 from gof.ingest.marked_points import MarkedPoint
 from gof.ingest.sfm import Features, Model, PoseError, epipolar_distance
 
@@ -18,9 +19,21 @@ SHAPES_PX = 5.0  # gate from which on all boards are held to
 MOST_STARTS = 4
 MAX_TRACKS = 1000
 KNOWN_WEIGHT = 1.0  # a corner is found as well as a feature
+SIMILARITY = 7  # numbers that no picture shows: place, direction and size of the whole
 AGREEMENT_PX = 10.0  # a match this far from its epipolar line counts 1/e
 
 Track = dict[int, np.ndarray]  # camera -> (2,) px
+
+
+@dataclass(frozen=True)
+class ZoomedModel:
+    """world_to_camera (C, 4, 4), the lenses that were found with it, the misfit per sighting, in the square of px, and
+    how many more numbers were seen than found."""
+
+    world_to_camera: np.ndarray
+    lenses: list[Lens]
+    misfit: float
+    freedom: int
 
 
 def triangulate(matrices: np.ndarray, pixels: np.ndarray) -> np.ndarray:
@@ -165,6 +178,16 @@ def bundle(poses: np.ndarray, lenses: list[Lens], points: list[MarkedPoint], cha
     Raises:
         PoseError: nothing to adjust to.
     """
+    boards, start, seen = _sightings(poses, lenses, points, chains)
+    found = adjust(start, seen, np.stack([lens.K for lens in lenses]))
+    first = found.bodies[0] if len(boards) else np.eye(4)  # the world stays that of the first board
+    return Model(found.cameras @ first, (found.points - first[:3, 3]) @ first[:3, :3])
+
+
+def _sightings(
+    poses: np.ndarray, lenses: list[Lens], points: list[MarkedPoint], chains: list[Track]
+) -> tuple[list[int], BundleParameters, Sightings]:
+    """Return the numbers of the boards that are held to, the state to start from, and the pixels to adjust to."""
     boards, bodies = _bodies(poses, lenses, points)
     held = [p for p in points if p.is_known and p.board in boards]
     loose = [p for p in points if not (p.is_known and p.board in boards)]
@@ -174,10 +197,29 @@ def bundle(poses: np.ndarray, lenses: list[Lens], points: list[MarkedPoint], cha
     rows += [(c, px, 1.0, k, 0, nowhere) for k, track in enumerate(free) for c, px in track.items()]
     if not rows:
         raise PoseError("no feature and no marked point is in two pictures, and no marked point has believed xyz")
-    seen = Sightings(*(np.array(column) for column in zip(*rows, strict=True)))
-    found = adjust(BundleParameters(poses, bodies, start), seen, np.stack([lens.K for lens in lenses]))
-    first = found.bodies[0] if len(boards) else np.eye(4)  # the world stays that of the first board
-    return Model(found.cameras @ first, (found.points - first[:3, 3]) @ first[:3, :3])
+    return (
+        boards,
+        BundleParameters(poses, bodies, start),
+        Sightings(*(np.array(column) for column in zip(*rows, strict=True))),
+    )
+
+
+def zoomed(poses: np.ndarray, lenses: list[Lens], chains: list[Track], zoom: np.ndarray) -> ZoomedModel:
+    """Return poses and focal lengths that fit tracks best.
+
+    Args:
+        poses: (C, 4, 4) world to camera to start from.   lenses: to start from.
+        zoom: (C,) numbers 0 to Z - 1: cameras of one number share a factor on their focal lengths; -1: known.
+    Raises:
+        PoseError: no track is in two pictures.
+    """
+    _, start, seen = _sightings(poses, lenses, [], chains)
+    K = np.stack([lens.K for lens in lenses])
+    found = adjust(replace(start, zooms=np.zeros(zoom.max() + 1)), seen, K, zoom)
+    factor = np.where(zoom >= 0, np.exp(np.append(found.zooms, 0.0)[zoom]), 1.0)
+    lenses = [lens.magnified(float(f)) for lens, f in zip(lenses, factor, strict=True)]
+    freedom = 2 * len(seen.camera) - found.points.size - 6 * len(lenses) + SIMILARITY - len(found.zooms)
+    return ZoomedModel(found.cameras, lenses, misfit(found, seen, K, zoom), freedom)
 
 
 def _bodies(poses: np.ndarray, lenses: list[Lens], points: list[MarkedPoint]) -> tuple[list[int], np.ndarray]:

@@ -1,4 +1,5 @@
-"""Robust bundle adjustment with known lenses: Levenberg-Marquardt on the Schur complement (Triggs et al. 2000).
+"""Robust bundle adjustment, with known focal lengths or free ones: Levenberg-Marquardt on the Schur complement (Triggs
+et al. 2000).
 
 Turning and moving trade off against each other almost freely when cameras are a few degrees apart: the cost has a long,
 shallow valley. Exact derivatives and the exact step follow it to its end; a general solver stopped where it came in.
@@ -6,7 +7,7 @@ shallow valley. Exact derivatives and the exact step follow it to its end; a gen
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -14,6 +15,7 @@ MOST_STEPS = 200
 ENOUGH = 1e-7  # relative decrease of the cost below which the minimum is reached
 DAMPING, LEAST_DAMPING, MOST_DAMPING = 1e-3, 1e-12, 1e8
 TINY = 1e-12
+MOST_ZOOM = 3.0  # logarithm of a factor on a focal length: no step goes where numbers end
 EXACT = 1e-8  # cost of a sighting, that is 1e-4 of its uncertainty, below which nothing is gained
 BEHIND = 1e3  # residual of a point behind its camera: a loss, but no pull in any direction
 
@@ -43,26 +45,30 @@ class Sightings:
 
 @dataclass(frozen=True)
 class BundleParameters:
-    """The adjusted quantities: cameras (C, 4, 4) world to camera, bodies (B, 4, 4) body to world, free points (N,
-    3)."""
+    """The adjusted quantities: cameras (C, 4, 4) world to camera, bodies (B, 4, 4) body to world, free points (N, 3),
+    and zooms (Z,), logarithms of the factors on the focal lengths of cameras that share one; none where lenses are
+    known."""
 
     cameras: np.ndarray
     bodies: np.ndarray
     points: np.ndarray
+    zooms: np.ndarray = field(default_factory=lambda: np.zeros(0))
 
     def moved(self, step: np.ndarray, shift: np.ndarray) -> BundleParameters:
-        """By rotation vectors and shifts (C + B, 6) of cameras and bodies, and shifts (N, 3) of points."""
+        """By rotation vectors and shifts of cameras and bodies, then changes of zooms, (6 C + 6 B + Z,), and shifts (N,
+        3) of points."""
         count = len(self.cameras)
-        return BundleParameters(
-            _moved(self.cameras, step[:count]), _moved(self.bodies, step[count:]), self.points + shift
-        )
+        poses, zooms = np.split(step, [6 * (count + len(self.bodies))])
+        poses = poses.reshape(-1, 6)
+        bodies = _moved(self.bodies, poses[count:])
+        return BundleParameters(_moved(self.cameras, poses[:count]), bodies, self.points + shift, self.zooms + zooms)
 
     def about(self, origin: np.ndarray) -> BundleParameters:
         """Return the same in a world whose origin (3,) is there."""
         cameras, bodies = self.cameras.copy(), self.bodies.copy()
         cameras[:, :3, 3] += cameras[:, :3, :3] @ origin
         bodies[:, :3, 3] -= origin
-        return BundleParameters(cameras, bodies, self.points - origin)
+        return replace(self, cameras=cameras, bodies=bodies, points=self.points - origin)
 
 
 def _moved(poses: np.ndarray, step: np.ndarray) -> np.ndarray:
@@ -82,6 +88,7 @@ class _Projection:
     slope: np.ndarray  # (O, 2, 3) of the residual by the point in the camera's axes
     in_camera: np.ndarray  # (O, 3) the point turned, not yet shifted, into the camera's axes
     in_world: np.ndarray  # (O, 3) a body's point turned, not yet shifted, into the world's
+    by_zoom: np.ndarray  # (O, 2) derivative of the residual by the camera's zoom
 
     @property
     def cost(self) -> float:
@@ -90,24 +97,41 @@ class _Projection:
         return float((square / (np.sqrt(1 + square) + 1)).sum())
 
 
-def adjust(start: BundleParameters, seen: Sightings, K: np.ndarray) -> BundleParameters:
+@dataclass(frozen=True)
+class _Lenses:
+    """K (C, 3, 3) of the cameras, and the number (C,) of the zoom by which each one's focal lengths are multiplied, -1
+    where they are known."""
+
+    K: np.ndarray
+    zoom: np.ndarray
+
+    def at(self, zooms: np.ndarray) -> np.ndarray:
+        """Return (C, 3, 3) at these zooms (Z,)."""
+        K, free = self.K.copy(), self.zoom >= 0
+        factor = np.exp(np.clip(zooms, -MOST_ZOOM, MOST_ZOOM))
+        K[free, :2, :2] *= factor[self.zoom[free], None, None]
+        return K
+
+
+def adjust(start: BundleParameters, seen: Sightings, K: np.ndarray, zoom: np.ndarray | None = None) -> BundleParameters:
     """Return the state near `start` that explains the pixels best (soft L1, so that single mismatches hardly pull).
 
     Args:
         K: (C, 3, 3) of the cameras.
+        zoom: (C,) number of the zoom of `start` that each camera has, -1 for those whose lens is known; None: all are.
     Returns:
         in a world that is only near the start's: cameras, bodies and points may have moved as a whole.
     """
-    seen = seen.sorted()
+    seen, lenses = seen.sorted(), _Lenses(K, np.full(len(K), -1) if zoom is None else zoom)
     # About a middle of what is seen: far from the world's origin turning is moving, to the last digit.
     middle = np.median(np.concatenate([start.points, start.bodies[:, :3, 3]]), 0)
     state, damping = start.about(middle), DAMPING
-    now = _project(state, seen, K)
+    now = _project(state, seen, lenses)
     for _ in range(MOST_STEPS):
-        normal = _Normal.of(state, seen, now)
+        normal = _Normal.of(state, seen, now, lenses)
         while damping < MOST_DAMPING:
             trial = state.moved(*normal.step(damping))
-            then = _project(trial, seen, K)
+            then = _project(trial, seen, lenses)
             if then.cost < now.cost:
                 break
             damping *= 4
@@ -120,7 +144,12 @@ def adjust(start: BundleParameters, seen: Sightings, K: np.ndarray) -> BundlePar
     return state.about(-middle)
 
 
-def _project(state: BundleParameters, seen: Sightings, K: np.ndarray) -> _Projection:
+def misfit(state: BundleParameters, seen: Sightings, K: np.ndarray, zoom: np.ndarray) -> float:
+    """Return the cost that `adjust` makes least, per sighting."""
+    return _project(state, seen.sorted(), _Lenses(K, zoom)).cost / len(seen.camera)
+
+
+def _project(state: BundleParameters, seen: Sightings, lenses: _Lenses) -> _Projection:
     free = seen.point >= 0
     world, in_world = np.zeros_like(seen.xyz), np.zeros_like(seen.xyz)
     world[free] = state.points[seen.point[free]]
@@ -134,19 +163,20 @@ def _project(state: BundleParameters, seen: Sightings, K: np.ndarray) -> _Projec
     front = local[:, 2] > 1e-6 * np.linalg.norm(local, axis=1)
     depth = np.where(front, local[:, 2], 1.0)
     uv = local[:, :2] / depth[:, None]
-    lens = K[seen.camera]
-    pixel = np.einsum("oij,oj->oi", lens[:, :2, :2], uv) + lens[:, :2, 2]
+    lens = lenses.at(state.zooms)[seen.camera]
+    from_middle = np.einsum("oij,oj->oi", lens[:, :2, :2], uv)
+    pixel = from_middle + lens[:, :2, 2]
     slope = np.zeros((len(uv), 2, 3))
     slope[:, 0, 0] = slope[:, 1, 1] = 1
     slope[:, :, 2] = -uv
     slope = lens[:, :2, :2] @ slope * (front * seen.weight / depth)[:, None, None]
     residual = np.where(front[:, None], (pixel - seen.pixel) * seen.weight[:, None], BEHIND)
-    return _Projection(residual, slope, in_camera, in_world)
+    return _Projection(residual, slope, in_camera, in_world, from_middle * (front * seen.weight)[:, None])
 
 
 @dataclass(frozen=True)
 class _Normal:
-    """Gauss-Newton's equations, weighted by the loss, in blocks: poses (P parameters) and N free points.
+    """Gauss-Newton's equations, weighted by the loss, in blocks: poses and zooms (P parameters) and N free points.
 
     Attributes:
         poses: (P, P).   mixed: (N, P, 3).   points: (N, 3, 3).   pull, pulls: (P,) and (N, 3) gradients.
@@ -159,7 +189,7 @@ class _Normal:
     pulls: np.ndarray
 
     @classmethod
-    def of(cls, state: BundleParameters, seen: Sightings, now: _Projection) -> _Normal:
+    def of(cls, state: BundleParameters, seen: Sightings, now: _Projection, lenses: _Lenses) -> _Normal:
         O, count = len(seen.camera), len(state.cameras)
         by_world = now.slope @ state.cameras[seen.camera, :3, :3]
         J = np.zeros((O, 2, count + len(state.bodies), 6))
@@ -167,7 +197,10 @@ class _Normal:
         known = np.flatnonzero(seen.point < 0)
         turn = -by_world[known] @ _cross(now.in_world[known])
         J[known, :, count + seen.body[known]] = np.concatenate([turn, by_world[known]], 2)
-        J = J.reshape(O, 2, -1)
+        stretch = np.zeros((O, 2, len(state.zooms)))
+        zoomed = np.flatnonzero(lenses.zoom[seen.camera] >= 0)
+        stretch[zoomed, :, lenses.zoom[seen.camera[zoomed]]] = now.by_zoom[zoomed]
+        J = np.concatenate([J.reshape(O, 2, -1), stretch], 2)
         weighted = J / np.sqrt(1 + (now.residual**2).sum(1))[:, None, None]
         share = by_world / np.sqrt(1 + (now.residual**2).sum(1))[:, None, None]
 
@@ -186,7 +219,7 @@ class _Normal:
         )
 
     def step(self, damping: float) -> tuple[np.ndarray, np.ndarray]:
-        """Return (P / 6, 6) and (N, 3): the step, damped in proportion to the diagonal."""
+        """Return (P,) and (N, 3): the step, damped in proportion to the diagonal."""
         size = np.einsum("nii->ni", self.points)
         inverse = np.linalg.inv(
             self.points + (damping * size + TINY * size.max(1, keepdims=True) + 1e-300)[..., None] * np.eye(3)
@@ -195,7 +228,7 @@ class _Normal:
         reduced = self.poses + damping * np.diag(np.diag(self.poses)) - np.tensordot(back, self.mixed, ([0, 2], [0, 2]))
         step = -np.linalg.lstsq(reduced, self.pull - np.tensordot(back, self.pulls, ([0, 2], [0, 1])), rcond=TINY)[0]
         rest = self.pulls + np.tensordot(self.mixed, step, (1, 0))
-        return step.reshape(-1, 6), -(inverse @ rest[..., None])[..., 0]
+        return step, -(inverse @ rest[..., None])[..., 0]
 
 
 def _cross(vectors: np.ndarray) -> np.ndarray:

@@ -14,6 +14,7 @@ from gof.core.cameras import Camera
 from gof.core.errors import DataFormatError, GofError
 from gof.core.files import path_in
 from gof.dataset import CameraEntry, Splits, held_out
+from gof.footage.containers import focal_35mm
 from gof.footage.flame_mask import flame_mask
 from gof.footage.lens import ROLL_DEG, CalibratedCamera, Lens, Turn, preparation, read_cameras
 from gof.footage.pictures import write_picture as save_picture
@@ -22,6 +23,7 @@ from gof.footage.videos import VideoInfo, chosen_frames, read_info, require_diff
 from gof.host.terminal import progress_bar
 from gof.ingest.agreement import other_notes, require_one_film_each, require_square_pixels, turns_by_tags
 from gof.ingest.evidence import Evidence, PoseOptions
+from gof.ingest.focal import FEWEST_CAMERAS, ChosenLenses, LensSearch, require_findable, start_search
 from gof.ingest.frame_times import FrameTimes, Timing, read_frame_times
 from gof.ingest.place import Placed, place_cameras
 
@@ -84,6 +86,8 @@ class Footage:
         world_to_camera: (C, 4, 4) of the upright pictures, metres, where the poses are known beforehand; else None.
         infos: what the videos' files say, read to their ends.
         notes: what a user should know of them, in words.
+        lens: source of the lenses, in words.
+        search: how their focal lengths are to be found; None where they are known.
 
     Raises:
         GofError: no video.
@@ -95,6 +99,8 @@ class Footage:
     world_to_camera: np.ndarray | None = None
     infos: tuple[VideoInfo, ...] = ()
     notes: tuple[str, ...] = ()
+    lens: str = ""
+    search: LensSearch | None = None
 
     def __post_init__(self):
         if not self.videos:
@@ -108,17 +114,21 @@ class Footage:
         cameras: Path | None,
         fov_deg: float | None,
     ) -> Footage:
-        """With the intrinsics of a file of `gof.footage.lens.read_cameras`, or one horizontal field of view for all.
+        """With the intrinsics of a file of `gof.footage.lens.read_cameras`, or one horizontal field of view for all;
+        else with a start from which `gof.ingest.focal` finds them.
 
         Poses are taken from the file if it has one of its own for every camera.
 
         Args:
             turn: one for all or one each; "auto" turns as the file's rotation tag says.
         Raises:
-            GofError: both or neither intrinsics are given; a video or the file cannot be read; by their rotation tags
-                some pictures stand and some lie; the same footage is given twice.
+            GofError: both intrinsics are given; none are, and the cameras are too few to find them; a video or the file
+                cannot be read; by their rotation tags some pictures stand and some lie; the same footage is given
+                twice.
         """
-        if (cameras is None) == (fov_deg is None):
+        if cameras is None and fov_deg is None:
+            require_findable([focal_35mm(video) if video.is_file() else None for video in videos])
+        if cameras is not None and fov_deg is not None:
             raise GofError("give the intrinsics with either --cameras FILE or --fov DEGREES")
         require_different(videos)
         require_one_film_each(videos)
@@ -126,13 +136,19 @@ class Footage:
         infos = [_read(video) for video in videos]
         if not known:
             require_square_pixels(infos)
-        notes = other_notes(infos, not known)
+        notes = other_notes(infos, fov_deg is not None)
         turns = turns_by_tags(infos, turn)
-        if fov_deg is not None:
-            lenses = tuple(Lens.from_fov(info.width, info.height, fov_deg) for info in infos)
-            return cls(tuple(videos), lenses, turns, None, tuple(infos), tuple(notes))
-        lenses = tuple(camera.lens for camera in known)
-        return cls(tuple(videos), lenses, turns, _poses(known), tuple(infos), tuple(notes))
+        search: LensSearch | None = None
+        if known:
+            lenses, source = [camera.lens for camera in known], "--cameras"
+        elif fov_deg is not None:
+            lenses, source = [Lens.from_fov(info.width, info.height, fov_deg) for info in infos], "--fov"
+        else:
+            lenses, search = start_search([(info.width, info.height, info.focal_35mm) for info in infos])
+            source = search.stated
+            search = search if len(videos) >= FEWEST_CAMERAS else None
+        poses = _poses(known) if known else None
+        return cls(tuple(videos), tuple(lenses), turns, poses, tuple(infos), tuple(notes), source, search)
 
     def other(self, videos: list[Path]) -> Footage:
         """Another clip by the same cameras. Raises DataFormatError: a video cannot be read, or is stored otherwise."""
@@ -173,15 +189,26 @@ class Footage:
 
     def place(self, clips: list[Evidence], options: PoseOptions) -> Placed:
         """Return the cameras' poses, from this clip and others of the same rig; see `place_cameras`."""
-        return place_cameras(clips, self.upright_lenses, self.names, self.world_to_camera, options)
+        return place_cameras(clips, self.upright_lenses, self.names, self.world_to_camera, options, self.search)
+
+    def seen_through(self, found: ChosenLenses | None) -> Footage:
+        """Return the same footage with the lenses that were found for its upright pictures; None: with its own."""
+        if found is None:
+            return self
+        lenses = tuple(
+            lens.magnified(upright.K[0, 0] / own.K[0, 0])
+            for lens, own, upright in zip(self.lenses, self.upright_lenses, found.lenses, strict=True)
+        )
+        return replace(self, lenses=lenses, lens=found.words, search=None, notes=(*self.notes, *found.notes))
 
     def splits(self, count: int) -> Splits:
         """Return which of `count` frames are held out."""
         return held_out(count)
 
-    def board_mask(self, camera: int) -> np.ndarray | None:
-        """Return (H, W) uint8, 255 on the LED board, of the prepared picture; None where nothing says so beforehand."""
-        return None
+    def board_mask(self, camera: int, stored: np.ndarray | None) -> np.ndarray | None:
+        """Return (H, W) uint8, 255 on the LED board, of the prepared picture, from that of the stored one, if there is
+        one."""
+        return None if stored is None else self.preparation(camera)(stored)
 
     def write_beside(self, out: Path) -> None:
         """Write into the dataset what only this kind of footage has: nothing."""
@@ -189,7 +216,9 @@ class Footage:
     @property
     def provenance(self) -> dict[str, Any]:
         """Return the dataset's further notes on its origin."""
-        return {"videos": [_described(info) for info in self.infos], "turn": list(self.turns)}
+        fov_deg = [round(lens.fov_deg, 3) for lens in self.lenses]
+        lens = {"lens": self.lens, **({} if self.lens == "--cameras" else {"fov_deg": fov_deg})}
+        return {"videos": [_described(info) for info in self.infos], "turn": list(self.turns), **lens}
 
     def preparation(self, camera: int) -> Callable[[np.ndarray], np.ndarray]:
         """Return the function that makes a camera's stored pictures (H, W[, 3]) uint8 undistorted and upright."""

@@ -11,6 +11,7 @@ from pathlib import Path
 
 import numpy as np
 
+from gof.capture.board_mask import board_mask, in_words, objection_to
 from gof.capture.times import FrameTimesFile, SyncedVideo, VideoTimes
 from gof.core.errors import DataFormatError, GofError
 from gof.core.numbered import usual_step
@@ -44,6 +45,8 @@ class FrameTimes:
         readout: direction of later lines in the picture.
         source: where the times are from, in words.
         notes: what a user should know of the frames, in words.
+        boards: (H, W) uint8 per camera, 255 on the LED board in the stored picture, or None; empty where the times are
+            not by a board.
     """
 
     frames: list[np.ndarray]
@@ -52,6 +55,7 @@ class FrameTimes:
     readout: list[str]
     source: str
     notes: tuple[str, ...] = ()
+    boards: tuple[np.ndarray | None, ...] = ()
 
     @classmethod
     def of(
@@ -80,6 +84,7 @@ class Timing:
         stamps: the files' own time stamps are true seconds.
         start: first frame of the first camera to use; or a frame of each that was taken at the same moment.
         limit: use at most so many frames; None for all.
+        masks: whether the board that gave the times is masked.
     """
 
     times: Path | None = None
@@ -87,6 +92,7 @@ class Timing:
     stamps: bool = False
     start: tuple[int, ...] = (0,)
     limit: int | None = None
+    masks: bool = True
 
     def require_one_way(self) -> None:
         """Raise GofError: none or several ways to time are given."""
@@ -252,7 +258,35 @@ def measured_times(timing: Timing, videos: list[VideoInfo]) -> FrameTimes:
     times = FrameTimes.of(pairing, begins, row_time_s, [camera.readout for camera in cameras], source)
     warnings = tuple(f"{name}: {warning}" for name, camera in by_name for warning in camera.warnings)
     said = (f"the clock of {', '.join(estimated)} is estimated from the flame, to milliseconds",) if estimated else ()
+    if timing.masks:
+        boards, masked = board_masks(by_name, [(video.width, video.height) for video in videos])
+        times = replace(times, boards=boards, notes=(*times.notes, *masked))
     return replace(times, notes=(*notes, *said, *warnings, *times.notes))
+
+
+def board_masks(
+    cameras: list[tuple[str, VideoTimes]], sizes: list[tuple[int, int]]
+) -> tuple[tuple[np.ndarray | None, ...], list[str]]:
+    """Return each camera's mask (H, W) uint8 of the board in its stored picture, or None, and notes, in words.
+
+    Args:
+        cameras: name and times of each.   sizes: (width, height) of their stored pictures, px.
+    """
+    import cv2
+
+    boards: list[np.ndarray | None] = []
+    notes = []
+    for (name, times), size in zip(cameras, sizes, strict=True):
+        mask = board_mask(times.board_px, times.marker_px, (times.width, times.height)) if times.board_px else None
+        objection = None if mask is None else objection_to(mask)
+        if times.clock == "board" and times.board_px is None:
+            objection = "no board mask: an older gof made times.json; 'gof capture annotate' makes one"
+        if objection is not None:
+            notes.append(f"{name}: {objection}")
+        elif mask is not None:
+            notes.append(f"{name}: {in_words(mask)}")
+        boards.append(None if objection or mask is None else cv2.resize(mask, size))  # a copy may be smaller
+    return tuple(boards), notes
 
 
 def _read_sync(path: Path, videos: list[VideoInfo]) -> tuple[list[SyncedVideo], list[VideoTimes], tuple[str, ...]]:

@@ -37,6 +37,7 @@ from gof.ingest.place import Placed, place_alone
 from gof.ingest.published import CAMERAS_FILE
 
 WRITTEN = ("cameras", "static", "depth", "points.ply", POSES, CAMERAS_FILE)  # names in the folder, but for records
+GIVEN = ("", "--fov", "--cameras")  # sources of lenses that a user has named, or footage that brings its own
 UNFINISHED = ".unfinished-ingest"
 
 
@@ -47,6 +48,7 @@ class Ingested:
     Attributes:
         fire_left: share of each camera's plate that is still fire.
         fire_left_by_clip: the same of plates from the clip's own frames; None where they were made of nothing else.
+        lens: which lenses were found, in words; None where they are given.
     """
 
     folder: Path
@@ -54,6 +56,7 @@ class Ingested:
     fire_left: dict[str, float]
     fire_left_by_clip: dict[str, float] | None = None
     notes: tuple[str, ...] = ()
+    lens: str | None = None
 
 
 def require_new(out: Path) -> None:
@@ -154,6 +157,7 @@ def _make(
                 placed = place_alone(seen[0], plate_picture, lens, evidence, pose_options)
             else:
                 placed = footage.place([evidence, *more], pose_options)
+        footage = footage.seen_through(placed.lenses)
         figures.update(method=placed.report.method, points=len(placed.points))
     cameras = placed_cameras(footage, times, placed)
     plates = fire_free.pictures
@@ -175,7 +179,7 @@ def _make(
         **({"rig_clips": [other.videos[0].parent.name for other in others]} if others else {}),
         **footage.provenance,
     }
-    boards = [footage.board_mask(c) for c in range(len(clips))]
+    boards = [footage.board_mask(c, board) for c, board in enumerate(times.boards or [None] * len(clips))]
     made_from = derived_files(stored, placed, plate.folder is None)
     with log.measure("write"), watched("write", clips) as seen:
         for view, clip, board in zip(stored, seen, boards, strict=True):
@@ -200,6 +204,7 @@ def _make(
         made_by["fire_left"],
         dict(zip(footage.names, by_clip, strict=True)) if by_clip else None,
         (*footage.notes, *times.notes, *steadied.notes),
+        None if footage.lens in GIVEN else footage.lens,
     )
 
 

@@ -17,6 +17,7 @@ from gof.footage.lens import Lens
 from gof.ingest import adjust, sfm
 from gof.ingest.axes import find_up, metric_scale, upright_world
 from gof.ingest.evidence import MIN_JUDGED, Evidence, PoseOptions, require_still
+from gof.ingest.focal import ChosenLenses, LensSearch, choose_lenses
 from gof.ingest.marked_points import MarkedPoint
 
 MIN_CONSISTENT = 0.6  # share of a pair's raw matches that must obey the poses
@@ -29,15 +30,22 @@ Method = Literal["features", "points", "rig"]
 
 @dataclass(frozen=True)
 class Placed:
-    """world_to_camera (C, 4, 4) in metres (or the unit the report names), sparse points (N, 3), what was measured."""
+    """world_to_camera (C, 4, 4) in metres (or the unit the report names), sparse points (N, 3), what was measured, and
+    the upright pictures' lenses, where they were looked for."""
 
     world_to_camera: np.ndarray
     points: np.ndarray
     report: PoseReport
+    lenses: ChosenLenses | None = None
 
 
 def place_cameras(
-    clips: list[Evidence], lenses: list[Lens], names: list[str], given: np.ndarray | None, options: PoseOptions
+    clips: list[Evidence],
+    lenses: list[Lens],
+    names: list[str],
+    given: np.ndarray | None,
+    options: PoseOptions,
+    search: LensSearch | None = None,
 ) -> Placed:
     """Poses of all cameras in metric world axes (Z up).
 
@@ -45,7 +53,9 @@ def place_cameras(
         clips: the clip, then others of the same rig, whose features and boards help.
         lenses: of the upright pictures.
         given: (C, 4, 4) poses that are known already and only checked, or None.
+        search: how to find the lenses, where they are not known.
     Raises:
+        GofError: the lenses cannot be found.
         PoseError: no solver's poses hold; says what each found, per camera, and what to do. A camera has moved between
             the clips.
     """
@@ -67,7 +77,10 @@ def place_cameras(
         moved[options.rig.folder.name] = require_still(names, clips[0], options.rig.folder.name, options.rig.plates)
 
     # ---- solvers, and what the checks say of each --------------------------------------------------------------------
-    solved = sfm.solve([(clip.plates, clip.masks) for clip in clips], lenses, names, options.rig is None)
+    with sfm.matched([(clip.plates, clip.masks) for clip in clips], lenses) as matches:
+        seen_through = None if search is None else choose_lenses(matches, lenses, names, search)
+        lenses = lenses if seen_through is None else seen_through.lenses
+        solved = matches.solve(lenses, names, options.rig is None)
     if options.rig is not None:
         rig = options.rig
         chosen = _judged(
@@ -97,7 +110,7 @@ def place_cameras(
     judged = (solved.figures, chosen.consistent, chosen.check)
     warnings += solved.warnings if chosen.method == "features" else ()
     report = PoseReport(chosen.method, scale, notes + warnings, *judged, moved or None, how)
-    return Placed(world_to_camera, cloud, report)
+    return Placed(world_to_camera, cloud, report, seen_through)
 
 
 def _all_points(clips: list[Evidence], options: PoseOptions) -> list[MarkedPoint]:

@@ -203,16 +203,16 @@ class PublishedFootage(Footage):
         """Theirs: every 8th frame from the first on, so that scores are of the same pictures."""
         return held_out(count, first=0)
 
-    def board_mask(self, camera: int) -> np.ndarray:
-        """Return (H, W) uint8, 255 on the LED board, of the upright picture."""
+    def board_mask(self, camera: int, stored: np.ndarray | None) -> np.ndarray:
+        """Return (H, W) uint8, 255 on the LED board, of the upright picture, as published."""
         import cv2
 
         path = self.videos[camera].with_suffix(".mask.png")
-        stored = cv2.imread(str(path), cv2.IMREAD_GRAYSCALE)
+        published = cv2.imread(str(path), cv2.IMREAD_GRAYSCALE)
         lens = self.lenses[camera]
-        if stored is None or stored.shape != (lens.height, lens.width):
+        if published is None or published.shape != (lens.height, lens.width):
             raise DataFormatError(f"{path}: must be a picture of {lens.width}x{lens.height} pixels, as the video")
-        return (255 * (self.preparation(camera)(stored) > 127)).astype(np.uint8)
+        return (255 * (self.preparation(camera)(published) > 127)).astype(np.uint8)
 
     def write_beside(self, out: Path) -> None:
         """out/published_cameras.json: the cameras in the published world, to move a result of theirs into ours."""

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import copy
 import tempfile
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from itertools import combinations
 from pathlib import Path
@@ -17,6 +19,7 @@ from gof.dataset.poses import FeatureFigures
 from gof.footage.lens import Lens
 from gof.host import extras
 
+DATABASE = "features.db"
 GATE_PX = 3.0  # a match within this of its epipolar lines obeys the poses
 PEAK_THRESHOLD = 0.003  # half COLMAP's contrast threshold: plates of compressed footage are soft
 MAX_FEATURES = 16000
@@ -63,15 +66,54 @@ class Solution:
     warnings: tuple[str, ...] = ()
 
 
-def solve(
-    clips: list[tuple[list[np.ndarray], list[np.ndarray]]], lenses: list[Lens], names: list[str], mapped: bool = True
-) -> Solution:
-    """SIFT and exhaustive matching within every clip, then incremental mapping of all clips' features together.
+@dataclass(frozen=True)
+class MatchedClips:
+    """Features of all clips of a rig and their matches: what structure from motion goes on from, through any lenses.
+
+    Attributes:
+        work: folder of COLMAP's database, while it lasts.   files: names of the pictures there.
+    """
+
+    pycolmap: ModuleType
+    work: Path
+    files: list[str]
+    features: Features
+
+    def solve(self, lenses: list[Lens], names: list[str], mapped: bool = True, judged: bool = True) -> Solution:
+        """Return the result of incremental mapping of all clips' features together.
+
+        Args:
+            mapped: False gives features only.   judged: whether to look for signs that the lenses are wrong.
+        """
+        self.pycolmap.logging.minloglevel = 2  # its bundle adjustment sets it back
+        database = self.work / DATABASE
+        best = None
+        if mapped:
+            _look_through(self.pycolmap, database, self.files, lenses, self.features)
+            best = _largest_model(self.pycolmap, self.work, database)
+        features, poses = self.features, _registered_poses(best)
+        figures = FeatureFigures(
+            keypoints={n: len(k) for n, k in zip(names, features.keypoints, strict=True)},
+            matches={f"{names[i]}-{names[j]}": len(m) for (i, j), m in features.matches.items()},
+            registered=tuple(n for n, file in zip(names, self.files, strict=True) if file in poses),
+            points=None if best is None else best.num_points3D(),
+            reprojection_px=None if best is None else round(float(best.compute_mean_reprojection_error()), 3),
+        )
+        if best is None or len(poses) < len(self.files):
+            return Solution(None, features, figures)
+        points = np.array([p.xyz for p in best.points3D.values()]).reshape(-1, 3)
+        model = Model(np.array([poses[file] for file in self.files]), points)
+        return Solution(model, features, figures, _warnings(self.pycolmap, best, lenses[0]) if judged else ())
+
+
+@contextmanager
+def matched(clips: list[tuple[list[np.ndarray], list[np.ndarray]]], lenses: list[Lens]) -> Iterator[MatchedClips]:
+    """Provide SIFT features and exhaustive matches within every clip, which do not depend on the lenses.
 
     Args:
         clips: of one rig, each with its plates (H, W, 3) uint8 RGB and its masks (H, W) bool, True where features may
             be, per camera.
-        mapped: False only matches features.
+        lenses: to begin with.
     Raises:
         MissingDependencyError: no pycolmap.
     """
@@ -87,21 +129,16 @@ def solve(
             found.append(_read_features(pycolmap, database, files))
         features = pooled(found)
         if len(clips) > 1:
-            _write_features(pycolmap, work, database, files, features)
-        best = _largest_model(pycolmap, work, database) if mapped else None
-    poses = _registered_poses(best)
-    figures = FeatureFigures(
-        keypoints={n: len(k) for n, k in zip(names, features.keypoints, strict=True)},
-        matches={f"{names[i]}-{names[j]}": len(m) for (i, j), m in features.matches.items()},
-        registered=tuple(n for n, file in zip(names, files, strict=True) if file in poses),
-        points=None if best is None else best.num_points3D(),
-        reprojection_px=None if best is None else round(float(best.compute_mean_reprojection_error()), 3),
-    )
-    if best is None or len(poses) < len(files):
-        return Solution(None, features, figures)
-    points = np.array([p.xyz for p in best.points3D.values()]).reshape(-1, 3)
-    model = Model(np.array([poses[file] for file in files]), points)
-    return Solution(model, features, figures, _warnings(pycolmap, best, lenses[0]))
+            _write_features(pycolmap, database, files, features)
+        yield MatchedClips(pycolmap, work, files, features)
+
+
+def solve(
+    clips: list[tuple[list[np.ndarray], list[np.ndarray]]], lenses: list[Lens], names: list[str], mapped: bool = True
+) -> Solution:
+    """Match the clips (see `matched`) and map them through these lenses."""
+    with matched(clips, lenses) as found:
+        return found.solve(lenses, names, mapped)
 
 
 def pooled(clips: list[Features]) -> Features:
@@ -164,7 +201,7 @@ def _write_pictures(work: Path, plates: list[np.ndarray], masks: list[np.ndarray
 
 def _match_features(pycolmap: ModuleType, work: Path, files: list[str], lenses: list[Lens]) -> Path:
     """SIFT in every picture and matches between all pairs; returns COLMAP's database of them."""
-    database = work / "features.db"
+    database = work / DATABASE
     options = pycolmap.FeatureExtractionOptions()
     options.sift.peak_threshold = PEAK_THRESHOLD
     options.sift.max_num_features = MAX_FEATURES
@@ -173,12 +210,41 @@ def _match_features(pycolmap: ModuleType, work: Path, files: list[str], lenses: 
         reader = pycolmap.ImageReaderOptions()
         reader.mask_path = str(work / "masks")
         reader.camera_model = "PINHOLE"
-        reader.camera_params = f"{lens.K[0, 0]},{lens.K[1, 1]},{lens.K[0, 2]},{lens.K[1, 2]}"
+        reader.camera_params = ",".join(map(str, _pinhole(lens)))
         pycolmap.extract_features(
             database, work / "images", [file], pycolmap.CameraMode.PER_IMAGE, reader, options, cpu
         )
     pycolmap.match_exhaustive(database, verification_options=_verification(pycolmap), device=cpu)
     return database
+
+
+def _pinhole(lens: Lens) -> list[float]:
+    return [float(lens.K[0, 0]), float(lens.K[1, 1]), float(lens.K[0, 2]), float(lens.K[1, 2])]
+
+
+def _look_through(
+    pycolmap: ModuleType, database: Path, files: list[str], lenses: list[Lens], features: Features
+) -> None:
+    """Give the database these lenses, and verify its matches by them, unless it has them."""
+    db = pycolmap.Database.open(database)
+    try:
+        cameras = [db.read_camera(db.read_image_with_name(file).camera_id) for file in files]
+        wanted = [_pinhole(lens) for lens in lenses]
+        if all(np.allclose(c.params, params, rtol=1e-9) for c, params in zip(cameras, wanted, strict=True)):
+            return
+        for camera, params in zip(cameras, wanted, strict=True):
+            camera.params = params
+            db.update_camera(camera)
+        db.clear_two_view_geometries()
+    finally:
+        db.close()
+    _verify(pycolmap, database, files, features)
+
+
+def _verify(pycolmap: ModuleType, database: Path, files: list[str], features: Features) -> None:
+    pairs = database.with_name("pairs.txt")
+    pairs.write_text("\n".join(f"{files[i]} {files[j]}" for i, j in features.matches))
+    pycolmap.verify_matches(database, pairs, _verification(pycolmap))
 
 
 def _read_features(pycolmap: ModuleType, database: Path, files: list[str]) -> Features:
@@ -195,7 +261,7 @@ def _read_features(pycolmap: ModuleType, database: Path, files: list[str]) -> Fe
         db.close()
 
 
-def _write_features(pycolmap: ModuleType, work: Path, database: Path, files: list[str], features: Features) -> None:
+def _write_features(pycolmap: ModuleType, database: Path, files: list[str], features: Features) -> None:
     """Put these features in the place of the database's, and verify their matches."""
     db = pycolmap.Database.open(database)
     try:
@@ -208,9 +274,7 @@ def _write_features(pycolmap: ModuleType, work: Path, database: Path, files: lis
             db.write_matches(ids[i], ids[j], m.astype(np.uint32))
     finally:
         db.close()
-    pairs = work / "pairs.txt"
-    pairs.write_text("\n".join(f"{files[i]} {files[j]}" for i, j in features.matches))
-    pycolmap.verify_matches(database, pairs, _verification(pycolmap))
+    _verify(pycolmap, database, files, features)
 
 
 def _verification(pycolmap: ModuleType) -> Any:
@@ -238,8 +302,8 @@ def _largest_model(pycolmap: ModuleType, work: Path, database: Path) -> Any | No
     mapping.mapper.filter_min_tri_angle = 0.5
     mapping.triangulation.min_angle = 0.5
     mapping.triangulation.ignore_two_view_tracks = False
-    (work / "models").mkdir()
-    models = pycolmap.incremental_mapping(database, work / "images", work / "models", mapping)
+    with tempfile.TemporaryDirectory(dir=work) as folder:
+        models = pycolmap.incremental_mapping(database, work / "images", folder, mapping)
     return max(models.values(), key=lambda m: (m.num_reg_images(), m.num_points3D()), default=None)
 
 

@@ -9,7 +9,8 @@ import cv2
 import numpy as np
 import pytest
 
-from gof.capture.annotate import annotate, board_mask
+from gof.capture.annotate import annotate
+from gof.capture.board_mask import board_mask, outlines_of
 from gof.capture.calibration import calibrate, sharpest
 from gof.capture.charuco import POINTS_PER_MM, Charuco, draw_pdf, draw_svg, page
 from gof.capture.locate import Summary, locate
@@ -284,10 +285,11 @@ def test_board_mask_covers_every_light_and_leaves_the_rest(pictures):
     summary = Summary()
     for p in pictures:
         summary.add(p)
-    mask = board_mask(locate(summary, BOARD), BOARD, (400, 560))
+    found = locate(summary, BOARD)
+    mask = board_mask(outlines_of(found, BOARD), found.marker_px, (400, 560))
     flicker = np.ptp(np.stack(pictures).astype(np.int16), axis=0)
-    assert (flicker * (1 - mask)).max() <= 2  # nothing that flickers keeps weight
-    assert (mask == 0).mean() > 0.3 and ((mask > 0) & (mask < 1)).any() and mask.dtype == np.float32
+    assert (flicker * (1 - mask / 255)).max() <= 2  # nothing that flickers keeps weight
+    assert (mask == 0).mean() > 0.3 and ((mask > 0) & (mask < 255)).any() and mask.dtype == np.uint8
 
 
 def annotated(folder, pictures):

@@ -6,6 +6,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from gof.capture.annotate import mask_from_footage
+from gof.capture.board_mask import board_mask
 from gof.capture.decode import DecodeOptions, decode
 from gof.capture.locate import BoardNotFound, Summary, locate
 from gof.capture.strips import NotDecodable, robust_line
@@ -95,6 +97,9 @@ def test_compressed_video_through_the_command(tmp_path):
         assert times["fps"] == pytest.approx(shot.fps, rel=1e-5) and times["readout"] == shot.readout
         assert (times["width"], times["height"]) == (shot.width, shot.height)
         assert (tmp_path / f"out/residuals_{camera['name']}.png").stat().st_size > 5000
+        by_hand = mask_from_footage(tmp_path / f"{camera['name']}.mp4", None, "none", BOARD)
+        mask = board_mask(times["board_px"], times["marker_px"], (shot.width, shot.height))
+        assert np.abs(mask.astype(int) - by_hand).max() <= 3, "as `gof capture annotate` finds it"
     assert result["nearest_frames"]["b"]["offset_us"] == pytest.approx(1357.9, abs=5)
     assert result["warnings"] == [
         "the cameras ran at different rates (a 400.00, b 240.00 fps): frames of equal numbers drift apart"

@@ -53,6 +53,7 @@ def times_file(path, clocks_us, row_us=4.0, readout="left", warnings=()) -> Fram
             faults=(),
             warnings=tuple(warnings),
             cost=DecodingCost(1.0, 1.0, 10.0),
+            board_px=(),
         )
         videos.append(SyncedVideo(f"cam_{c}", f"cam_{c}.mp4", times))
     record = FrameTimesFile("paper_rig", 4000.0, tuple(videos), {}, ())
@@ -79,6 +80,31 @@ def test_measured_clock_pairs_nearest_frames(tmp_path):
     assert times.row_time_s == pytest.approx([4e-6] * 3) and times.readout == ["left"] * 3
     turned = {turn: times.turned((turn,) * 3).readout[0] for turn in ("clockwise", "counterclockwise", "half")}
     assert turned == {"clockwise": "up", "counterclockwise": "down", "half": "right"} and times.notes == ()
+
+
+def test_the_board_that_gave_the_times_is_masked(tmp_path):
+    """Drawn where `gof capture sync` saw it, in the stored picture; a copy of half the size has it at half the size."""
+    path = tmp_path / "times.json"
+    record = times_file(path, [clock(), clock(), clock(), clock()])
+    square = ((20.0, 30.0), (80.0, 30.0), (80.0, 90.0), (20.0, 90.0))
+    everything = ((0.0, 0.0), (100.0, 0.0), (100.0, 200.0), (0.0, 200.0))
+    places = [(square,), (), None, (everything,)]
+    cameras = tuple(
+        replace(c, times=replace(c.times, board_px=place, marker_px=8.0))
+        for c, place in zip(record.cameras, places, strict=True)
+    )
+    write_record(path, replace(record, cameras=cameras))
+    times = read_frame_times(Timing(path), infos(20, 20, 20, 20))
+    mask = times.boards[0]
+    assert mask.shape == (200, 100) and mask.dtype == np.uint8
+    assert mask[30:90, 20:80].min() == 255 and mask[100:].max() == 0 and mask[:24].max() == 0
+    assert [board is None for board in times.boards] == [False, True, True, True]
+    assert times.notes[0] == f"cam_0: board mask, {(mask > 127).mean():.1%} of the picture"
+    assert times.notes[1].startswith("cam_2: no board mask: an older gof made times.json; 'gof capture annotate'")
+    assert times.notes[2].startswith("cam_3: no board mask: what was taken for the board covers 100%")
+    assert not read_frame_times(Timing(path, masks=False), infos(20, 20, 20, 20)).boards
+    small = [replace(info, width=50, height=100) for info in infos(20, 20, 20, 20)]
+    assert read_frame_times(Timing(path), small).boards[0].shape == (100, 50)
 
 
 def test_half_the_rate_is_paired_by_time(tmp_path):
