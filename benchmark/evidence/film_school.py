@@ -1,4 +1,4 @@
-"""Good and bad ways to film a fire, side by side, with what `gof capture check-footage` says of each.
+"""Good and bad ways to film a fire, side by side, and the faults that `gof capture check-footage` finds.
 
     python -m gof_benchmark.evidence.film_school DEMO --work out/school --out docs/images/film_school.webp
 
@@ -35,7 +35,7 @@ Film = np.ndarray  # (T, H, W, 3) display values in [0, 1]
 
 @dataclass(frozen=True)
 class FilmSchool:
-    """Film a fire in good and bad ways, and put them into one picture with what is said of them."""
+    """Film a fire in good and bad ways, and put them into one picture with their faults."""
 
     demo: tyro.conf.Positional[Path]
     """Dataset whose fire burns."""
@@ -92,7 +92,7 @@ SET_UPS: dict[str, tuple[str, Callable[[Film], Film], float]] = {
 
 
 def main(argv: list[str] | None = None) -> None:
-    """Make what is missing, print what is said, write the sheet."""
+    """Make what is missing, print the faults, write the sheet."""
     config = tyro.cli(FilmSchool, prog="python -m gof_benchmark.evidence.film_school", args=argv)
     spec = scene_spec.load(config.demo / "spec.json")
     datasets = {name: _filmed(change(spec), config, name) for name, change in PLACES.items()}
@@ -148,7 +148,7 @@ def _write(film: Film, path: Path, rate_hz: float) -> Path:
 
 
 def _tile(frame: np.ndarray, name: str, found: list[Finding]) -> Image.Image:
-    """Return a picture with its name above it, and below it what is said."""
+    """Return a picture with its name above it, and its faults below."""
     picture = Image.fromarray(np.rint(255 * np.clip(frame, 0, 1)).astype(np.uint8))
     picture = picture.resize((240, round(240 * picture.height / picture.width)), Image.Resampling.LANCZOS)
     small, large = (ImageFont.truetype(font_manager.findfont("DejaVu Sans"), px) for px in (TEXT_PX, TEXT_PX + 2))
