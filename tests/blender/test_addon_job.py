@@ -78,7 +78,7 @@ import time
 from pathlib import Path
 from gof_blender.pure import spec
 from gof_blender.pure.dataset_process import Job
-from gof_blender.pure.layout import Layout, leaving
+from gof_blender.pure.layout import Layout
 layout = Layout(Path({str(layout.root)!r}))
 job = Job(spec.load(layout.spec), layout, {PYTHON!r})
 while job.poll():

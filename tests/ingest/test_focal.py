@@ -15,7 +15,7 @@ from gof.dataset import Dataset
 from gof.footage.containers import focal_35mm
 from gof.footage.lens import Lens
 from gof.ingest import focal, sfm
-from gof.ingest.bundle import State, adjust
+from gof.ingest.bundle import BundleParameters, adjust
 from gof.ingest.footage import Footage
 from tests.conftest import look_at
 from tests.ingest.scene import FOCAL, HEIGHT, WIDTH, cameras, pose_errors
@@ -35,7 +35,7 @@ def test_one_shared_zoom_and_one_each_are_found_exactly():
         wrong = K.copy()
         wrong[:, :2, :2] *= np.array(factors)[:, None, None]
         zooms = np.zeros(max(zoom) + 1)
-        found = adjust(State(start.cameras, start.bodies, start.points, zooms), seen, wrong, np.array(zoom))
+        found = adjust(BundleParameters(start.cameras, start.bodies, start.points, zooms), seen, wrong, np.array(zoom))
         truth = [-np.log(factors[zoom.index(z)]) for z in range(len(zooms))]
         np.testing.assert_allclose(found.zooms, truth, atol=1e-4)
         np.testing.assert_allclose(found.cameras @ found.bodies[0], [c.world_to_camera for c in rig], atol=1e-4)
