@@ -25,6 +25,7 @@ NEARLY = 1.1  # of the best start's miss: another start that ends so well is a r
 PROBE = 1.1  # a focal length so many times as long, or as short, must fit worse
 LEAST_RISE = 0.03  # by this share: what bends pictures a little makes as much
 MOST_SIGMA = 0.02  # relative, of a focal length
+BETWEEN_CLIPS = 0.016  # relative, standard deviation over six clips of one rig: lenses bend pictures a little
 MOST_SPREAD = 0.05  # relative, of the focal lengths in which rivals end
 SEPARATE = (
     0.72  # of the misfit (the square of 0.85 of an error): cameras of one kind that differ so much are told apart
@@ -169,14 +170,19 @@ class LensSolution:
         return None
 
     @property
+    def uncertainty(self) -> float:
+        """Return the standard deviation of a focal length, relative, with what the matches do not know."""
+        return float(np.hypot(self.sigma, BETWEEN_CLIPS))
+
+    @property
     def words(self) -> str:
         """Return what was found, for people."""
         fovs = dict.fromkeys(f"{lens.fov_deg:.1f}" for lens in self.lenses)
         long = dict.fromkeys(f"{lens.long_fov_deg:.1f}" for lens in self.lenses)
         return (
             f"found by the matches: {', '.join(fovs)} degrees across the upright picture, {', '.join(long)} along its "
-            f"longer side, to {self.sigma:.1%} ({PROBE - 1:.0%} off fits {self.rise:.0%} worse; {self.starts} starts "
-            f"end within {self.spread:.1%})"
+            f"longer side, to {self.uncertainty:.0%} ({PROBE - 1:.0%} off fits {self.rise:.0%} worse; {self.starts} "
+            f"starts end within {self.spread:.1%})"
         )
 
 
