@@ -8,6 +8,7 @@ from gof.capture.locate import BoardInImage
 from gof.capture.template import BoardTemplate
 
 MUCH_COVERED, MOST_COVERED = 0.25, 0.6  # of the picture; the published clips have 0.08 to 0.15
+FARTHEST_PX = 30_000.0  # OpenCV draws no farther
 Outlines = tuple[tuple[tuple[float, float], ...], ...]  # polygons in px, pixel centres at integer + 0.5
 
 
@@ -39,7 +40,7 @@ def board_mask(
     width, height = size
     covered = np.zeros((height, width), np.uint8)
     for polygon in outlines:
-        cv2.fillPoly(covered, [np.round(np.array(polygon) - 0.5).astype(np.int32)], (255,))
+        cv2.fillPoly(covered, [np.round(np.clip(polygon, -FARTHEST_PX, FARTHEST_PX) - 0.5).astype(np.int32)], (255,))
     distance = cv2.distanceTransform(255 - covered, cv2.DIST_L2, 5)
     share = np.clip(1 - (distance - margin * marker_px) / (feather * marker_px), 0, 1)
     return np.rint(255 * share).astype(np.uint8)

@@ -6,6 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from gof.capture.board_mask import board_mask
 from gof.capture.times import CounterReading, DecodingCost, FrameTime, FrameTimesFile, SyncedVideo, VideoTimes
 from gof.core.errors import DataFormatError, GofError
 from gof.core.records import write_record
@@ -282,3 +283,11 @@ def test_a_variable_rate_is_taken_from_the_stamps():
         read_frame_times(Timing(stamps=True), infos(20, 20))
     with pytest.raises(GofError, match=r"b.mp4: its time stamps do not grow"):
         read_frame_times(Timing(stamps=True), [steady, video("b.mp4", [0, 1, 1, 2])])
+
+
+def test_outlines_far_outside_the_picture_are_drawn_as_far_as_they_are_in_it():
+    """A damaged times.json: of a triangle from a corner to far beyond, the picture's half; none of one that is away."""
+    far = ((0.0, 0.0), (1e300, 1e300), (0.0, 1e300))
+    mask = board_mask((far,), 0.1, (64, 64))
+    assert mask[40, 10] == 255 and mask[10, 40] == 0
+    assert not board_mask((((1e9, 1e9), (2e9, 1e9), (2e9, 2e9)),), 0.1, (64, 64)).any()
