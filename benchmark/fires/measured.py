@@ -98,7 +98,7 @@ def read_database(copy: Path) -> list[MeasuredFire]:
     waterloo = copy / WATERLOO if (copy / WATERLOO).is_dir() else copy
     fires = [_read_waterloo(files)] if (files := sorted(waterloo.glob(PROFILES))) else []
     for name, heat_kw in SANDIA_KW.items():
-        if files := sorted((copy / SANDIA).glob(f"Sandia_{name}_p*.csv")):
+        if files := sorted((copy / SANDIA).glob(f"Sandia_{name}_p[359].csv")):
             fires.append(_read_sandia(name, heat_kw, files))
     fires += [_read_nist(file) for file in sorted((copy / NIST).glob("*_U_r=0_*.csv"))]
     if not fires:
@@ -119,6 +119,8 @@ def _read_sandia(name: str, heat_kw: float, files: list[Path]) -> MeasuredFire:
     for file in files:
         energy = ("TKE (m2/s2)",) if "TKE" in file.open(encoding="utf-8-sig").readline() else ()
         found = _rows(file, ("x (m)", "W mean (m/s)", *energy))
+        if energy and found[:, 2].min() < 0:
+            raise DataFormatError(f"{file}: has a negative kinetic energy; is it whole?")
         rms = np.sqrt(2 / 3 * found[:, 2]) if energy else np.full(len(found), np.nan)
         height_m = np.full(len(found), SANDIA_M[file.stem[-2:]])
         tables.append(np.stack([height_m, abs(found[:, 0]), found[:, 1], rms], -1))

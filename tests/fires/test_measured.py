@@ -113,6 +113,9 @@ def test_the_energy_of_all_components_is_compared_where_it_was_measured(tmp_path
     assert found.rms_ratio == pytest.approx(1, abs=0.01) and found.rms_error < 0.01
     found = compare(flow, without)
     assert found.mean_ratio == pytest.approx(0.5, abs=1e-3) and np.isnan([found.rms_ratio, found.rms_error]).all()
+    file.write_text("x (m),U mean (m/s),W mean (m/s),TKE (m2/s2)\n0.3,0.1,2,-0.1\n")
+    with pytest.raises(DataFormatError, match="p9.csv: has a negative kinetic energy"):
+        read_database(tmp_path)
 
 
 def test_the_axis_is_held_beside_the_stated_uncertainty(tmp_path, flow):
