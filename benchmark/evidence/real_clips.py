@@ -9,9 +9,10 @@ compression and noise leave to be had: a scene in 3D that does better has seen t
 lost.
 
 Every row is the mean over a clip's held-out pictures at full size, as a result is made to be seen, whatever the size it
-was fitted at. The flame is the estimated mask of `gof.footage.flame_mask`, "moves" the pixels that the authors' figures
-count (`gof.evaluate.authors_figures`). Reconstructions are kept in OUT/CLIP/METHOD_SEED and go on where they were, so
-it may be stopped and started as one likes.
+was fitted at. Below them stand ours beside the strongest baseline, and means over the clips. The flame is the estimated
+mask of `gof.footage.flame_mask`, "moves" the pixels that the authors' figures count (`gof.evaluate.authors_figures`).
+Reconstructions are kept in OUT/CLIP/METHOD_SEED and go on where they were, so it may be stopped and started as one
+likes.
 
 `--clocks` says what is believed of the cameras' times: "read", what the dataset says; "frames", that pictures of one
 number are of one moment, as in videos that somebody aligned; "snapshots", that all lines of a picture are of the moment
@@ -140,33 +141,63 @@ def believing(dataset: Dataset, clocks: Clocks) -> Dataset:
     return replace(dataset, cameras=cameras, description=replace(dataset.description, cameras=tuple(entries)))
 
 
-def line(clip: str, name: str, means: np.ndarray, spread: float | None = None, cost: str = "- | -") -> str:
-    """Return a row of the table."""
-    cells = [
-        "-" if np.isnan(x) else f"{x:.{3 if head.startswith('SSIM') else 2}f}"
-        for head, x in zip(COLUMNS, means, strict=True)
-    ]
-    if spread is not None:
-        cells[0] += f" ± {spread:.2f}"
-    return f"| {clip} | {name} | {' | '.join(cells)} | {cost} |"
+@dataclass(frozen=True)
+class Row:
+    """A clip drawn in one way.
+
+    Attributes:
+        means: (5,) means of `COLUMNS`.   spread: standard deviation of the first over seeds, or None.
+        seconds, memory_gb: the cost of reconstructing it, or None.
+    """
+
+    clip: str
+    name: str
+    means: np.ndarray
+    spread: float | None = None
+    seconds: float | None = None
+    memory_gb: float | None = None
+
+    def __str__(self) -> str:
+        cells = cells_of(self.means)
+        cells[0] += self.scatter
+        cost = "- | -" if self.seconds is None else f"{self.seconds:.0f} | {self.memory_gb:.1f}"
+        return f"| {self.clip} | {self.name} | {' | '.join(cells)} | {cost} |"
+
+    @property
+    def scatter(self) -> str:
+        """The spread over seeds, in words."""
+        return "" if self.spread is None else f" ± {self.spread:.2f}"
 
 
-def rows_of(path: Path, config: RealClips) -> None:
-    """Print those of a clip: the trivial baselines first, then every method."""
+def cells_of(means: np.ndarray) -> list[str]:
+    """Return (5,) means of `COLUMNS` with the digits that they deserve."""
+    digits = (3 if head.startswith("SSIM") else 2 for head in COLUMNS)
+    return ["-" if np.isnan(x) else f"{x:.{n}f}" for n, x in zip(digits, means, strict=True)]
+
+
+CARRIED, OURS = "the same, carried along their flow", "ours"
+
+
+def rows_of(path: Path, config: RealClips) -> list[Row]:
+    """Print and return those of a clip: the trivial baselines first, then every method."""
     dataset = Dataset.open(path)
     trivial_baselines = {
         "the plate alone": lambda c, k: dataset.static(c),
         "mean of the two frames around": mean_of_neighbours(dataset),
-        "the same, carried along their flow": carried_along_flow(dataset),
+        CARRIED: carried_along_flow(dataset),
     }
+    rows = []
     for name, draw in trivial_baselines.items():
-        print(line(path.name, name, figures(dataset, draw)), flush=True)
+        rows.append(Row(path.name, name, figures(dataset, draw)))
+        print(rows[-1], flush=True)
     for method in config.methods:
         for clocks in config.clocks:
-            print(_method_row(path.name, dataset, method, clocks, config), flush=True)
+            rows.append(_method_row(path.name, dataset, method, clocks, config))
+            print(rows[-1], flush=True)
+    return rows
 
 
-def _method_row(clip: str, full: Dataset, method: MethodName, clocks: Clocks, config: RealClips) -> str:
+def _method_row(clip: str, full: Dataset, method: MethodName, clocks: Clocks, config: RealClips) -> Row:
     """Reconstruct and score, once for every seed."""
     believed = full if clocks == "read" else believing(full, clocks)
     found, costs = [], []
@@ -176,12 +207,30 @@ def _method_row(clip: str, full: Dataset, method: MethodName, clocks: Clocks, co
         reconstruct(believed, settings, folder)
         found.append(figures(believed, of_result(believed, folder)))
         costs.append(StageLog(folder / "costs.json").stages())
-    seconds = np.mean([sum(stage.seconds for stage in run) for run in costs])
-    memory_gb = max(stage.peak_mb for run in costs for stage in run) / 1000
-    spread = float(np.std([f[0] for f in found], ddof=1)) if len(found) > 1 else None
-    name = "ours" if method == "gof" else f"`--method {method}`"
-    name += "" if clocks == "read" else f", times: {clocks}"
-    return line(clip, name, np.mean(found, 0), spread, f"{seconds:.0f} | {memory_gb:.1f}")
+    name = OURS if method == "gof" else f"`--method {method}`"
+    return Row(
+        clip,
+        name + ("" if clocks == "read" else f", times: {clocks}"),
+        np.mean(found, 0),
+        spread=float(np.std([f[0] for f in found], ddof=1)) if len(found) > 1 else None,
+        seconds=float(np.mean([sum(stage.seconds for stage in run) for run in costs])),
+        memory_gb=max(stage.peak_mb for run in costs for stage in run) / 1000,
+    )
+
+
+def print_summary(rows: list[Row]) -> None:
+    """Print ours beside the strongest baseline, the better one bold, and means over the clips."""
+    ours = [row for row in rows if row.name == OURS]
+    carried = {row.clip: row for row in rows if row.name == CARRIED}
+    print("\n| clip | ours | frames before and after, by optical flow | minutes, ours |\n|---|---|---|---|")
+    for row in ours:
+        mine, theirs = round(row.means[0], 2), round(carried[row.clip].means[0], 2)
+        cells = [f"**{x:.2f}**" if x == max(mine, theirs) else f"{x:.2f}" for x in (mine, theirs)]
+        print(f"| {row.clip} | {cells[0]}{row.scatter} | {cells[1]} | {(row.seconds or 0) / 60:.0f} |")
+    print(f"\n| mean of {len(ours)} clips | {' | '.join(COLUMNS)} |\n{'|---' * (len(COLUMNS) + 1)}|")
+    for name in dict.fromkeys(row.name for row in rows):
+        means = np.mean([row.means for row in rows if row.name == name], 0)
+        print(f"| {name} | {' | '.join(cells_of(means))} |")
 
 
 def main(argv: list[str] | None = None) -> None:
@@ -189,8 +238,7 @@ def main(argv: list[str] | None = None) -> None:
     config = tyro.cli(RealClips, prog="python -m gof_benchmark.evidence.real_clips", args=argv)
     print(f"| clip | | {' | '.join(COLUMNS)} | seconds | GB |")
     print("|---" * (len(COLUMNS) + 4) + "|")
-    for path in config.datasets:
-        rows_of(path, config)
+    print_summary([row for path in config.datasets for row in rows_of(path, config)])
 
 
 if __name__ == "__main__":

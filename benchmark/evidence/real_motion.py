@@ -21,6 +21,8 @@ from gof.reconstruct.flow_prior import FlowPrior
 from gof.reconstruct.observation import Observation, observe
 from gof_benchmark.training.field_score import open_small, preview_field
 
+NEAR_DEG = 5
+
 
 @dataclass(frozen=True)
 class RealMotion:
@@ -59,6 +61,7 @@ def main(argv: list[str] | None = None) -> None:
     config = tyro.cli(RealMotion, prog="python -m gof_benchmark.evidence.real_motion", args=argv)
     print("| dataset | camera | footage, degrees | fused: turned by, speed | with the prior: turned by, speed |")
     print("|---|---|---|---|---|")
+    turned, faster = [], []
     for path in config.datasets:
         dataset = open_small(path)
         observation = observe(dataset)
@@ -66,9 +69,17 @@ def main(argv: list[str] | None = None) -> None:
         gas = FlowPrior.load().correct(seen, metres=dataset.description.in_metres)
         for c, camera in enumerate(observation.cameras):
             footage = of_footage(observation, c)
-            fields = [of_field(field, camera) for field in (seen, gas)]
-            cells = [f"{turn(m, footage):+.0f}, {np.linalg.norm(m) / np.linalg.norm(footage):.2f}" for m in fields]
+            motions = [of_field(field, camera) for field in (seen, gas)]
+            turns = [turn(m, footage) for m in motions]
+            speeds = [float(np.linalg.norm(m) / np.linalg.norm(footage)) for m in motions]
+            cells = [f"{angle:+.0f}, {speed:.2f}" for angle, speed in zip(turns, speeds, strict=True)]
             print(f"| {path.name} | {camera.name} | {degrees(footage):+.0f} | {cells[0]} | {cells[1]} |", flush=True)
+            turned.append(abs(turns[1]))
+            faster.append(speeds[1])
+    print(f"\n| with the prior, {len(turned)} views | |\n|---|---|")
+    print(f"| within {NEAR_DEG} degrees of the optical flow | {sum(t <= NEAR_DEG for t in turned)} of {len(turned)} |")
+    print(f"| farthest from it, degrees | {max(turned):.0f} |")
+    print(f"| gas over light | {min(faster):.1f} to {max(faster):.1f} |")
 
 
 if __name__ == "__main__":

@@ -31,6 +31,7 @@ from gof.reconstruct.shrink import shrink
 from gof.render import render
 
 OFTENER = 4
+NEAR = 0.15  # of the footage's speed
 
 
 @dataclass(frozen=True)
@@ -78,6 +79,7 @@ def main(argv: list[str] | None = None) -> None:
     config = tyro.cli(RiseSpeed, prog="python -m gof_benchmark.evidence.rise_speed", args=argv)
     print("| dataset | camera | footage, px/s | drawn at the frames | drawn four times as often | gas |")
     print("|---|---|---|---|---|---|")
+    climbs = []
     for folder, result in zip(config.pairs[::2], config.pairs[1::2], strict=True):
         made_with = read_record(ReconstructionSettings, result / FILE)
         dataset = shrink(Dataset.open(folder), made_with.longest_side)
@@ -95,8 +97,12 @@ def main(argv: list[str] | None = None) -> None:
             often = climb(drawn_rows(gaussians, camera, plate, place, between), frame_s / OFTENER, apart)
             middle = float(times[len(times) // 2])
             cells = [drawn, often, gas_climb(gaussians, dataset, c, middle)]
+            climbs.append(drawn / footage)
             ratios = " | ".join(f"{cell / footage:.2f}" for cell in cells)
             print(f"| {folder.name} | {camera.name} | {footage:.0f} | {ratios} |", flush=True)
+    near = sum(abs(climb - 1) <= NEAR for climb in climbs)
+    print(f"\n| drawn at the frames, {len(climbs)} views | |\n|---|---|")
+    print(f"| within {NEAR:.0%} of the footage | {near} of {len(climbs)} |")
 
 
 if __name__ == "__main__":

@@ -2,7 +2,8 @@
 
 Two views fit almost any lens; a third one does not. Each start maps the cameras through a lens of its own, and a bundle
 adjustment then frees the focal lengths, with wider gates than it ends with: a wrong lens leaves out the matches that
-speak against it. The start whose poses the raw matches obey best is kept.
+speak against it. The start whose poses the raw matches obey best is kept. An end that no second start reaches is not
+believed: it has no rival that could contradict it.
 """
 
 from __future__ import annotations
@@ -19,6 +20,7 @@ from gof.ingest.adjust import ZoomedModel
 
 FEWEST_CAMERAS = 3
 STARTS_DEG = (42.0, 95.0, 27.0)  # along the longer side, far from each other and from a phone's main camera
+BESIDE = (1 / 1.15, 1.15)  # focal lengths beside an end that one start alone reaches, of which it is asked again
 GATES_PX = (8.0, 3.0, 2.0)  # epipolar gates, each followed by an adjustment
 ENOUGH, SAME = 3, 0.01  # starts that end within this share of each other: two may share a wrong end
 NEARLY = 1.1  # of the best start's miss: another start that ends so well is a rival
@@ -165,6 +167,8 @@ class LensSolution:
             return f"a focal length a tenth longer or shorter fits but {max(self.rise, 0):.1%} worse"
         if self.sigma > MOST_SIGMA:
             return f"they show a focal length to {self.sigma:.1%} only"
+        if self.starts < 2:
+            return "one start alone leads to it, so nothing could contradict it"
         if self.spread > MOST_SPREAD:
             return f"focal lengths that differ by {self.spread:.0%} fit alike"
         return None
@@ -195,22 +199,18 @@ def find_lenses(
         lenses: of the upright pictures, to start from; other starts have other focal lengths.
         kinds: (C,) numbers from 0 on: cameras of one number share a focal length.
     """
-    starts = [lenses, *([lens.seeing(start) for lens in lenses] for start in STARTS_DEG)]
     ended: list[tuple[float, ZoomedModel]] = []
-    for start in starts:
-        solved = clips.solve(start, names, judged=False)
-        if solved.model is None:
-            continue
-        try:
-            found = _refined(clips.features, solved.model.world_to_camera, start, kinds)
-        except sfm.PoseError:
-            continue
-        ended.append((_miss_px(clips.features, found), found))
-        spread, rivals = _spread(ended)
-        if rivals >= ENOUGH and spread < SAME:
+    for start in (lenses, *([lens.seeing(start) for lens in lenses] for start in STARTS_DEG)):
+        ended += _end_of(start, clips, kinds, names)
+        if ended and _agree(ended):
             break
     if not ended:
         return None
+    if _spread(ended)[1] == 1:
+        lone = min(ended, key=_first)[1].lenses
+        for factor in BESIDE:
+            ended += _end_of([lens.magnified(factor) for lens in lone], clips, kinds, names)
+    spread, rivals = _spread(ended)
     best, kinds = _told_apart(clips.features, min(ended, key=_first)[1], kinds)
     rise = _rise(clips.features, best, kinds)
     return LensSolution(
@@ -221,6 +221,26 @@ def find_lenses(
         spread,
         rivals,
     )
+
+
+def _end_of(
+    start: list[Lens], clips: sfm.MatchedClips, kinds: np.ndarray, names: list[str]
+) -> list[tuple[float, ZoomedModel]]:
+    """Return the end to which these lenses lead, with its miss in px; empty where they do not place all cameras."""
+    solved = clips.solve(start, names, judged=False)
+    if solved.model is None:
+        return []
+    try:
+        found = _refined(clips.features, solved.model.world_to_camera, start, kinds)
+    except sfm.PoseError:
+        return []
+    return [(_miss_px(clips.features, found), found)]
+
+
+def _agree(ended: list[tuple[float, ZoomedModel]]) -> bool:
+    """Return whether enough starts ended at the same place."""
+    spread, rivals = _spread(ended)
+    return rivals >= ENOUGH and spread < SAME
 
 
 def _first(end: tuple[float, ZoomedModel]) -> float:

@@ -99,6 +99,26 @@ def test_a_rig_that_does_not_tell_its_lens_is_not_believed(case):
     assert found is None or said is not None or true, found
 
 
+@pytest.mark.parametrize(("reach", "starts"), [(0.25, 3), (0.0, 1)])
+def test_a_lens_that_one_start_alone_reaches_needs_a_second_beside_it(reach, starts):
+    """Of the four starts the first alone places the cameras: lenses beside its end are tried, or it is refused."""
+    rig = cameras()
+    clips = GivenPoses(rig, points_of())
+    lenses, search = focal.start_search([(c.width, c.height, None) for c in rig])
+    first, every = lenses[0].K[0, 0], clips.solve
+    near = {True: (first, FOCAL * (1 + reach), FOCAL * (1 - reach)), False: (first,)}[reach > 0]
+
+    def solve(tried, names, judged=True):
+        placed = min(near) - 1e-9 <= tried[0].K[0, 0] <= max(near) + 1e-9
+        return every(tried, names) if placed else sfm.Solution(None, clips.features, None)
+
+    clips.solve = solve
+    found = focal.find_lenses(clips, lenses, np.array(search.kinds), NAMES)
+    assert found.starts == starts
+    assert [lens.K[0, 0] for lens in found.lenses] == pytest.approx([FOCAL] * 3, rel=0.02)
+    assert found.objection == (None if starts > 1 else "one start alone leads to it, so nothing could contradict it")
+
+
 # ---- what files state ------------------------------------------------------------------------------------------------
 
 
