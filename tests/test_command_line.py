@@ -55,6 +55,23 @@ def test_a_first_help_screen_is_short_and_begins_with_examples(name, capsys):
     assert all(word.split()[0] in whole for word in everywhere.OPTIONS)
 
 
+NEEDED = {name: [option for option in options_of(config_of(leaves()[name])) if option.positional] for name in leaves()}
+
+
+@pytest.mark.parametrize("name", [name for name, needed in NEEDED.items() if any(o.required for o in needed)])
+def test_a_command_without_a_word_says_what_to_name(name, capsys):
+    """As people type it first; a list that may be empty for the parser is not for the command."""
+    try:
+        status = main(name.split())
+    except SystemExit as usage:  # the parser's own words
+        status = usage.code
+    told = capsys.readouterr().err
+    assert status in (1, 2) and "error in gof itself" not in told
+    first = next(option for option in NEEDED[name] if option.required)
+    if first.several:
+        assert f"name {first.name}; for example: gof {name} " in told
+
+
 @pytest.mark.parametrize("name", leaves())
 def test_every_number_has_a_unit_or_counts(name):
     for option in options(name):

@@ -45,8 +45,6 @@ class CalibrateConfig:
 def main(argv: list[str]) -> int:
     """Calibrate every camera and write the file."""
     config = read_options(CalibrateConfig, "capture calibrate", argv)
-    if not config.footage:
-        raise GofError("name the footage of the target, one video or folder of photos per camera")
     out = config.out or require_writable(config.footage[0].absolute().parent) / "cameras.json"
     require_free(out)
     require_number("--views", config.views, least=1)

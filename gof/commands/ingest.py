@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import shlex
 import sys
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Annotated, ClassVar, Literal, get_args
 
@@ -14,7 +14,8 @@ from gof.capture.recognise import BoardUnclear, first_frames, recognise, require
 from gof.capture.template import BoardTemplate
 from gof.capture.times import FILE
 from gof.commands import capture_sync
-from gof.commands.everywhere import require_writable, write_figures
+from gof.commands.each import folder_of_each, run_each
+from gof.commands.everywhere import next_to, require_writable
 from gof.commands.read import Degrees, Metres, Millimetres, Pixels, read_options
 from gof.core.costs import StageLog
 from gof.core.errors import GofError
@@ -22,7 +23,7 @@ from gof.dataset import Dataset
 from gof.dataset.poses import UpReport
 from gof.footage.containers import focal_35mm
 from gof.footage.lens import Turn
-from gof.footage.videos import require_different, stated_fps
+from gof.footage.videos import require_different, stated_fps, videos_of_take
 from gof.host.options import require_all_positive, require_number, require_positive
 from gof.ingest.accelerometer import read_tilt
 from gof.ingest.evidence import KnownRig, PoseOptions, Solver
@@ -49,6 +50,7 @@ class IngestConfig:
     Examples:
       gof ingest cam_0.mp4 cam_1.mp4 cam_2.mp4 --times sync/times.json --cameras cameras.json
       gof ingest a.mp4 b.mp4 c.mp4 --times 240 --start 0 7 0 --fov 65 --baseline-m 1.2 --out data/mine
+      gof ingest takes/1 takes/2 --times sync --out data      of each folder's videos: data/1 and data/2
 
     Poses come from the plates by structure from motion; where that fails or contradicts the board, from the sync
     board's marker or from points given with --points. Frames are paired by time: cameras may differ in rate and drop
@@ -58,10 +60,12 @@ class IngestConfig:
     FIRST: ClassVar = ("out", "times", "cameras", "fov", "start", "plates", "max_size", "marker_mm")
 
     videos: tyro.conf.Positional[Annotated[list[Path], tyro.conf.arg(metavar="VIDEO ...")]]
-    """One video or folder of pictures per camera, of one fire (of a single one depth is a guess); or one scenes/ID
-    folder of the authors' public data set (fire_actioncam), which brings its own cameras and times."""
+    """One video or folder of pictures per camera, of one fire (of a single one depth is a guess); or folders, each with
+    the videos of one take; or one scenes/ID folder of the authors' public data set (fire_actioncam), which brings its
+    own cameras and times."""
     out: Path | None = None
-    """Folder of the dataset to write. Default: beside the first video, named after it: cam_0_dataset."""
+    """Folder of the dataset to write. Default: beside the first video, named after it: cam_0_dataset. Several
+    takes have folders of their names in it."""
     times: Annotated[tuple[str, ...], tyro.conf.arg(metavar="FILE|sync|FPS|stamps")] = ()
     """When the frames were taken: times.json of `gof capture sync` for these videos in this order; "sync" makes it, by
     the board, the films' sound or the flames' light; or the true capture rate, one for all cameras or one each; or
@@ -102,7 +106,7 @@ class IngestConfig:
     moved since, and no other evidence contradicts them."""
     with_clip: list[Path] = field(default_factory=list)
     """Folders of more clips of the same rig, with videos of the same names: features and boards of all clips solve the
-    poses together."""
+    poses together. A take that is named here, too, is left out for itself."""
     up: UpChoice = "auto"
     """Direction of Z: "points" of --points that mark what is upright or level, the cameras' "accelerometer" (GoPro),
     "edges" of upright things (posts, walls), the sync "board" standing upright, the "cameras" held level on average;
@@ -318,10 +322,49 @@ def fire_left_in_words(left: dict[str, float], by_clip: dict[str, float] | None 
     )
 
 
+def takes_of(config: IngestConfig) -> dict[Path, IngestConfig]:
+    """Return what to make of each take, where every word names a folder with one's videos; else of the videos.
+
+    Raises:
+        GofError: an option holds for one take only; two takes have one name.
+    """
+    words = config.videos
+    folders = [word for word in words if word.is_dir()]
+    videos = {folder: [folder] if is_published([folder]) else videos_of_take(folder) for folder in folders}
+    if len(videos) < len(words) or not all(videos.values()):
+        return {words[0]: config}
+    if len(words) > 1:
+        times, _, _ = read_times(() if config.times == (SYNC,) else config.times)
+        for option, given in (
+            ("--times FILE", times is not None),
+            ("--points", config.points is not None),
+            ("--start", len(config.start) > 1),
+        ):
+            if given:
+                raise GofError(f"{option}: holds for one take, and here are {len(words)}; give them one by one")
+    place = folder_of_each(words, config.out)
+    return {
+        folder: replace(
+            config,
+            videos=videos[folder],
+            out=place(folder) or next_to(folder, "_dataset"),
+            with_clip=[clip for clip in config.with_clip if clip.resolve() != folder.resolve()],
+        )
+        for folder in words
+    }
+
+
 def main(argv: list[str]) -> int:
     """`gof ingest VIDEO... [--out DATASET]`; see --help."""
     config = read_options(IngestConfig, "ingest", argv)
-    require_what_no_file_says(config, argv)
+    takes = takes_of(config)
+    for take in takes.values():
+        require_what_no_file_says(take, argv)
+    return run_each(list(takes), lambda folder: ingest_one(takes[folder]))
+
+
+def ingest_one(config: IngestConfig) -> dict:
+    """Make a dataset, print how it was made, and return the figures of --json."""
     result = ingest(config)
     report = result.poses.report
     stages = StageLog(result.folder / "costs.json").stages()
@@ -338,12 +381,10 @@ def main(argv: list[str]) -> int:
     for note in (*result.notes, *report.notes):
         print(f"note: {note}")
     print(f"dataset -> {result.folder}; next: gof reconstruct {result.folder}")
-    summary = {
+    return {
         "dataset": str(result.folder),
         "lens": result.lens,
         "notes": result.notes,
         "poses": asdict(report),
         "stages": [asdict(s) for s in stages],
     }
-    write_figures(summary)
-    return 0

@@ -4,6 +4,8 @@ parsed by tyro."""
 from __future__ import annotations
 
 import inspect
+import itertools
+import re
 import shutil
 import textwrap
 from collections.abc import Iterable, Sequence
@@ -29,7 +31,7 @@ def read_options(config: type[C], command: str, argv: Sequence[str]) -> C:
         argv: the words after these.
     Raises:
         SystemExit: after the help (0), or an option is wrong (2).
-        GofError: an option is gone (names the one that replaces it).
+        GofError: an option is gone (names the one that replaces it); nothing is given to work on.
     """
     if asked_for(argv):
         print(of_command(config, command, whole=WHOLE in argv))
@@ -37,13 +39,24 @@ def read_options(config: type[C], command: str, argv: Sequence[str]) -> C:
     argv = everywhere.taken_from(renamed(command, list(argv)))
     for option, word in getattr(config, "BARE", {}).items():
         argv = _with_value(argv, option, word)
-    return tyro.cli(config, prog=f"gof {command}", args=argv)
+    found = tyro.cli(config, prog=f"gof {command}", args=argv)
+    _require_something(config, command, found)
+    return found
+
+
+def _require_something(config: type, command: str, found: object) -> None:
+    """Raise GofError where a command that takes one or more words got none: for tyro, no word is a list, too."""
+    for option in options_of(config):
+        if option.positional and option.required and option.several and not getattr(found, option.field):
+            _, _, examples = parts_of_docstring(inspect.getdoc(config) or "")
+            example = "; for example: " + re.split(r"\s{2,}", examples[0])[0] if examples else ""
+            raise GofError(f"name {option.name}{example}")
 
 
 def _with_value(argv: list[str], option: str, word: str) -> list[str]:
     """Return the arguments, where an option that stands alone has the value that it means then."""
     found = []
-    for here, after in zip(argv, [*argv[1:], "--"], strict=True):
+    for here, after in itertools.zip_longest(argv, argv[1:], fillvalue="--"):
         found += [here, word] if here == option and after.startswith("--") else [here]
     return found
 
@@ -70,13 +83,7 @@ Results = tyro.conf.Positional[Annotated[tuple[str, ...], tyro.conf.arg(metavar=
 
 
 def named(words: Sequence[str]) -> list[tuple[str | None, Path]]:
-    """Return the given name of each result, None for that of its folder or file, and its path.
-
-    Raises:
-        GofError: there is no result.
-    """
-    if not words:
-        raise GofError("name a result: a folder of `gof reconstruct`, or a file of a method")
+    """Return the given name of each result, None for that of its folder or file, and its path."""
     found: list[tuple[str | None, Path]] = []
     for word in words:
         name, equals, path = word.partition("=")

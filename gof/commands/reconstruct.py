@@ -8,7 +8,8 @@ from typing import Annotated, ClassVar
 
 import tyro
 
-from gof.commands.everywhere import next_to, write_figures
+from gof.commands.each import folder_of_each, run_each
+from gof.commands.everywhere import next_to
 from gof.commands.read import Pixels, Preset, read_options
 from gof.core.cameras import in_words, sizes_px
 from gof.core.errors import GofError
@@ -34,15 +35,16 @@ class ReconstructConfig:
     Examples:
       gof reconstruct data/fire
       gof reconstruct data/fire --preset standard --out out/fire_standard
+      gof reconstruct data/take_1 data/take_2 --out out      out/take_1 and out/take_2, one after the other
     """
 
     FIRST: ClassVar = ("out", "preset", "steps", "gaussians", "max_size", "scene", "method", "until")
 
-    dataset: tyro.conf.Positional[Annotated[Path, tyro.conf.arg(metavar="DATASET")]]
-    """Dataset folder (holds dataset.json)."""
+    datasets: tyro.conf.Positional[Annotated[tuple[Path, ...], tyro.conf.arg(metavar="DATASET ...")]]
+    """Dataset folder (holds dataset.json), or several, which are reconstructed one after the other."""
     out: Path | None = None
     """Folder for the result; a half-finished reconstruction there is resumed. Default: beside the dataset,
-    DATASET_flame."""
+    DATASET_flame. Several datasets have folders of their names in it."""
     preset: Preset = "preview"
     """Amount of work: sets --steps, --gaussians, --voxels and --max-size, which can also be set one by one."""
     steps: int | None = None
@@ -80,12 +82,20 @@ class ReconstructConfig:
 
 
 def main(argv: list[str]) -> int:
-    """`gof reconstruct DATASET [--out DIR] [--json FILE]`; see --help."""
+    """`gof reconstruct DATASET ... [--out DIR] [--json FILE]`; see --help."""
     config = read_options(ReconstructConfig, "reconstruct", argv)
     if config.flow_weights is not None and config.flow != "memfof":
         raise GofError(f"--flow-weights are those of --flow memfof, not of {config.flow}; leave them out")
-    dataset = Dataset.open(config.dataset)
-    out = config.out or next_to(config.dataset, "_flame")
+    place = folder_of_each(config.datasets, config.out)
+    datasets = {folder: Dataset.open(folder) for folder in config.datasets}  # all of them before hours of work
+    return run_each(
+        config.datasets,
+        lambda folder: reconstruct_one(datasets[folder], place(folder) or next_to(folder, "_flame"), config),
+    )
+
+
+def reconstruct_one(dataset: Dataset, out: Path, config: ReconstructConfig) -> dict:
+    """Reconstruct a dataset into a folder, print its scores, and return the figures of --json."""
     result = reconstruct(
         dataset,
         out,
@@ -107,18 +117,10 @@ def main(argv: list[str]) -> int:
     if result is None:
         pictures = out / "stages"
         print(f"stopped after {config.until}: pictures in {pictures}; run the same command without --until to continue")
-        write_figures({"stopped_after": config.until, "pictures": str(pictures)})
-        return 0
+        return {"stopped_after": config.until, "pictures": str(pictures)}
 
     scores = result.held_out.scores
     held_out = {"step": result.held_out.step, "seconds": result.held_out.seconds} | asdict(scores)
-    summary = {
-        "result": str(result.path),
-        "gaussians": result.count,
-        "stages": [asdict(stage) for stage in result.stages],
-        "held_out": {name: value for name, value in held_out.items() if value is not None},
-    }
-    write_figures(summary)
     for stage in result.stages:
         print(f"{stage.name:<12} {stage.seconds:8.1f} s {stage.peak_mb:8.0f} MB")
     if scores.psnr_flame is not None:
@@ -129,4 +131,9 @@ def main(argv: list[str]) -> int:
     if not dataset.test_frames:
         print("the dataset holds no frame out, so there are no scores of pictures")
     print(f"{result.count} Gaussians -> {result.path}")
-    return 0
+    return {
+        "result": str(result.path),
+        "gaussians": result.count,
+        "stages": [asdict(stage) for stage in result.stages],
+        "held_out": {name: value for name, value in held_out.items() if value is not None},
+    }

@@ -28,6 +28,7 @@ UNREAD = frozenset(
     ".heic .heif .avif .webp .gif .jp2 .jxl .jfif .tga .ppm .pgm .pnm .dpx .psd .exr .hdr .raw .dng .cr2 .cr3 .nef "
     ".arw .raf .orf .rw2 .pef .srw".split()
 )  # pictures that are not read from a folder
+VIDEOS = frozenset(".mp4 .mov .m4v .mkv .avi .webm .mts .m2ts .ts .mxf".split())  # what cameras and phones write
 DEEP_FORMATS = (b"Y1", b"Y3", b"Y4", b"G3", b"G4")  # FFmpeg's tags of deep pixels; their fourth byte is the bits
 ENDS = 1 << 20  # bytes at either end of a file that identify it
 LOOKED_AT = 8  # pairs of frames that are looked at for combs
@@ -261,6 +262,14 @@ def loose_pictures(folder: Path) -> list[Path]:
         there = ", ".join(f.name for f in files[:3]) + (", ..." if len(files) > 3 else "") or "nothing"
         raise DataFormatError(f"{folder}: no pictures ({', '.join(PICTURES)}) in this folder; there is {there}")
     return pictures
+
+
+def videos_of_take(folder: Path) -> list[Path]:
+    """Return the videos of a folder that has one for each camera, by name; none where it also holds pictures."""
+    files = sorted(f for f in Path(folder).iterdir() if not is_hidden(f) and not f.is_dir())
+    if any(f.suffix.lower() in {*PICTURES, *UNREAD} for f in files):
+        return []
+    return [f for f in files if f.suffix.lower() in VIDEOS]
 
 
 # ---- which footage it is ---------------------------------------------------------------------------------------------

@@ -1,0 +1,96 @@
+"""Several takes by one command: each folder's videos become a dataset, each dataset a flame, and one may fail."""
+
+import json
+
+import pytest
+
+from gof.commands import cli
+from gof.commands.each import folder_of_each, run_each
+from gof.core.errors import GofError
+from tests.ingest.test_picture_folders import arguments, picture, words
+from tests.reconstruct.rising_flame import write_flame
+from tests.videos import write_video
+
+TINY = ["--steps", "2", "--gaussians", "50", "--voxels", "12", "--anyway"]
+
+
+def write_takes(root, names=("one", "two"), frames=8):
+    """Folders with c0.mp4 and c1.MP4. Returns the options of `gof ingest`, of known cameras."""
+    for k, name in enumerate(names):
+        for c in range(2):
+            (root / "takes" / name).mkdir(parents=True, exist_ok=True)
+            pictures = [picture(c, moment + k) for moment in range(frames)]
+            film = write_video(root / "takes" / name / f"c{c}.mp4", pictures)
+            if c:
+                film.rename(film.with_suffix(".MP4"))
+    given = arguments(root)
+    return [*given[given.index("--times") :]]
+
+
+def datasets(root):
+    return sorted(path.parent.relative_to(root).as_posix() for path in root.rglob("dataset.json"))
+
+
+def test_each_folder_of_videos_is_a_take(tmp_path, capsys):
+    options = write_takes(tmp_path)
+    takes = [str(tmp_path / "takes" / name) for name in ("one", "two")]
+    (tmp_path / "takes/two/._c0.mp4").write_bytes(b"macOS")
+    (tmp_path / "takes/two/notes.txt").write_text("windy")
+    figures = tmp_path / "figures.json"
+    assert cli.main(["ingest", *takes, "--out", str(tmp_path / "data"), *options, "--json", str(figures)]) == 0
+    assert datasets(tmp_path) == ["data/one", "data/two"]
+    runs = json.loads(figures.read_text())["runs"]
+    assert [run["source"] for run in runs] == takes
+    assert [run["dataset"] for run in runs] == [str(tmp_path / "data" / name) for name in ("one", "two")]
+    assert "1 of 2: " in words(capsys)
+    assert cli.main(["ingest", takes[0], *options]) == 0, "a single one goes beside its folder"
+    assert datasets(tmp_path)[-1] == "takes/one_dataset"
+
+
+def test_a_take_that_fails_does_not_end_the_others(tmp_path, capsys):
+    options = write_takes(tmp_path, ("one", "torn", "two"))
+    (tmp_path / "takes/torn/c0.mp4").write_bytes(b"no film")
+    takes = [str(tmp_path / "takes" / name) for name in ("one", "torn", "two")]
+    figures = tmp_path / "figures.json"
+    assert cli.main(["ingest", *takes, "--out", str(tmp_path / "data"), *options, "--json", str(figures)]) == 1
+    assert datasets(tmp_path) == ["data/one", "data/two"]
+    told = words(capsys)
+    assert "1 of 3 failed" in told and "torn/c0.mp4" in told.partition("failed:")[2]
+    assert ["error" in run for run in json.loads(figures.read_text())["runs"]] == [False, True, False]
+
+
+@pytest.mark.parametrize(
+    ("option", "words_of_it"), [("--points", ["marks.json"]), ("--start", ["0", "1"]), ("--times", ["sync/times.json"])]
+)
+def test_what_holds_for_one_take_is_refused_for_several(tmp_path, capsys, option, words_of_it):
+    options = write_takes(tmp_path)
+    if option == "--times":
+        options = options[2:]
+    takes = [str(tmp_path / "takes" / name) for name in ("one", "two")]
+    assert cli.main(["ingest", *takes, *options, option, *words_of_it]) == 1
+    assert f"{option}{' FILE' * (option == '--times')}: holds for one take" in words(capsys)
+    assert datasets(tmp_path) == []
+
+
+def test_two_of_one_name_are_refused_where_they_would_share_a_folder(tmp_path):
+    same = [tmp_path / "a/fire", tmp_path / "b/fire"]
+    with pytest.raises(GofError, match="two of them are named fire"):
+        folder_of_each(same, tmp_path / "out")
+    assert folder_of_each(same, None)(same[0]) is None
+    assert folder_of_each(same[:1], tmp_path / "out")(same[0]) == tmp_path / "out"
+
+
+def test_faults_of_ours_end_everything(tmp_path):
+    with pytest.raises(ZeroDivisionError):
+        run_each([tmp_path / "a", tmp_path / "b"], lambda source: 1 / 0)
+
+
+def test_several_datasets_are_reconstructed_one_after_the_other(tmp_path, capsys):
+    folders = [str(write_flame(tmp_path / name, frames=6)) for name in ("one", "two")]
+    out = tmp_path / "out"
+    assert cli.main(["reconstruct", *folders, "--out", str(out), *TINY]) == 0
+    assert [path.parent.name for path in sorted(out.rglob("result.npz"))] == ["one", "two"]
+    assert "2 of 2: " in words(capsys)
+    missing = str(tmp_path / "three")
+    assert cli.main(["reconstruct", folders[0], missing, "--out", str(tmp_path / "again"), *TINY]) == 1
+    assert not (tmp_path / "again").exists(), "all are opened before hours of work"
