@@ -155,13 +155,13 @@ class BaselineRows:
 class BaselineTraining:
     """Command lines, run in turn, of which the one with `--curve` trains; what comes out, and how it is added.
 
-    `result`: where several files match its name, the one of the last step.   `said`: what its files do not say, as
+    `result`: where several files match its name, the one of the last step.   `options`: what its files do not say, as
     options of `gof convert`.
     """
 
     commands: tuple[tuple[str, ...], ...]
     result: Path
-    said: tuple[str, ...] = ()
+    options: tuple[str, ...] = ()
     settings: dict[Path, str] = field(default_factory=dict)
 
 
@@ -225,8 +225,8 @@ OptimizationParams: {{iterations: {steps}, position_lr_init: 0.00016, position_t
 """
     train = ("-m", "gof", "baseline", "--method", "yang", "--curve", f"{out}/curve.csv", f"{config.yang}/train.py")
     train += ("--config", f"{out}/settings.yaml", "--test_iterations", "-1", "--save_iterations", f"{steps}")
-    said = ("--time-unit", f"{duration(data)}")
-    return BaselineTraining((train,), out / f"model/chkpnt{steps}.pth", said, {out / "settings.yaml": settings})
+    options = ("--time-unit", f"{duration(data)}")
+    return BaselineTraining((train,), out / f"model/chkpnt{steps}.pth", options, {out / "settings.yaml": settings})
 
 
 def freetime(config: BaselineRows, data: Path, out: Path) -> BaselineTraining:
@@ -244,8 +244,8 @@ def freetime(config: BaselineRows, data: Path, out: Path) -> BaselineTraining:
     train += ("--start-frame", "0", "--end-frame", f"{count}", "--max-steps", f"{steps}", "--save-steps")
     train += tuple(f"{step}" for step in range(steps - 7, steps + 1))
     train += ("--eval-steps", "10000000", "--lambda-perc", "0", "--disable-viewer", "--render-traj-n-frames", "2")
-    said = ("--time-unit", f"{duration(data)}", "--world", f"{view}/sparse/0")
-    return BaselineTraining((start, train), out / "model/ckpts/ckpt_*.pt", said)
+    options = ("--time-unit", f"{duration(data)}", "--world", f"{view}/sparse/0")
+    return BaselineTraining((start, train), out / "model/ckpts/ckpt_*.pt", options)
 
 
 def grid4d(config: BaselineRows, data: Path, out: Path) -> BaselineTraining:
@@ -329,8 +329,8 @@ def train_other(config: BaselineRows, name: str, data: Path, out: Path) -> None:
         path.write_text(text)
     costs = [measured([f"{config.python}", *words], here / "log.txt") for words in training.commands]
     result = last_of(training.result)
-    if training.said:
-        measured(python_command("-m", "gof", "convert", f"{result}", *training.said), here / "log.txt")
+    if training.options:
+        measured(python_command("-m", "gof", "convert", f"{result}", *training.options), here / "log.txt")
     add(
         result,
         data,
@@ -340,8 +340,8 @@ def train_other(config: BaselineRows, name: str, data: Path, out: Path) -> None:
         costs,
     )
     log = (here / "log.txt").read_text().splitlines()
-    said = next(line for line in log if line.startswith("gof baseline: ")).removeprefix("gof baseline: ")
-    head, _, licence = said.rpartition("; licence: ")
+    told = next(line for line in log if line.startswith("gof baseline: ")).removeprefix("gof baseline: ")
+    head, _, licence = told.rpartition("; licence: ")
     title, _, commit = head.partition(", commit ")
     about = {"name": f"{title}, {config.steps} steps", "made_by": "CPU re-run", "authors": [AUTHORS[name]]}
     about |= {

@@ -93,10 +93,10 @@ def leave_out(cameras: tuple[SyncedVideo, ...], scene: str) -> list[dict]:
                     np.mean([f.time_s - t.time_s for f, t in zip(found.frames, times.frames, strict=True)])
                 )
                 row["sigma_ms"] = found.systematic_us / 1e3
-                said = f"{row['error_ms']:+.2f} | {row['sigma_ms']:.2f}"
+                cells = f"{row['error_ms']:+.2f} | {row['sigma_ms']:.2f}"
             except NoFlameClock as e:
-                said = f"{e} |"
-            print(f"| {scene} | {name} | {', '.join(against)} | {said} |", flush=True)
+                cells = f"{e} |"
+            print(f"| {scene} | {name} | {', '.join(against)} | {cells} |", flush=True)
             rows.append(row)
     return rows
 

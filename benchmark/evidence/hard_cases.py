@@ -114,13 +114,15 @@ def spoiled(
 
 def _every(dataset: Dataset, step: int) -> DatasetDescription:
     """Return the description with every `step`-th frame, of which every 8th is held out."""
-    said = dataset.description
+    description = dataset.description
     times = tuple(dataset.times_s[::step].tolist())
     test = tuple(range(4, len(times), 8))
     train = tuple(sorted(set(range(len(times))) - set(test)))
-    whole = (c for c in said.cameras if c.role != "around")  # those around have frames of their own
+    whole = (c for c in description.cameras if c.role != "around")  # those around have frames of their own
     cameras = tuple(replace(c, time_s=None if c.time_s is None else c.time_s[::step]) for c in whole)
-    return replace(said, time_s=times, cameras=cameras, splits=replace(said.splits, train=train, test=test))
+    return replace(
+        description, time_s=times, cameras=cameras, splits=replace(description.splits, train=train, test=test)
+    )
 
 
 def about_x(degrees: float) -> np.ndarray:

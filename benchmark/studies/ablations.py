@@ -61,8 +61,8 @@ def _variants(method: MethodName) -> dict[str, dict[str, str]]:
     """Return options of `gof reconstruct` by the name of the row; plates throughout, so that JointOpt is of the same
     kind."""
     left_out = {name: {"method": method, "scene": "plates", "ablation": part} for name, part in LEFT_OUT.items()}
-    other, said = ("paper", "the paper's choices") if method == "gof" else ("gof", "ours")
-    return left_out | {said: {"method": other, "scene": "plates", "ablation": "none"}}
+    other, words = ("paper", "the paper's choices") if method == "gof" else ("gof", "ours")
+    return left_out | {words: {"method": other, "scene": "plates", "ablation": "none"}}
 
 
 def _table(variants: dict[str, dict[str, str]], rows: list[Row], columns: dict[str, str]) -> str:

@@ -113,5 +113,5 @@ def compare(scene: SuiteScene, size: Size, dataset: Dataset) -> tuple[Verdict, s
     if not differs:
         return "same", "its truth is the recorded one, to the bit"
     made_with = truths.made_with[scene.solver]
-    said = f"{differs}. {scene.solver} differs slightly between CPUs ({made_with} made the recorded fire)"
-    return "not to the bit", f"{said}: scores may differ a little"
+    words = f"{differs}. {scene.solver} differs slightly between CPUs ({made_with} made the recorded fire)"
+    return "not to the bit", f"{words}: scores may differ a little"

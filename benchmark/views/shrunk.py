@@ -89,8 +89,8 @@ def _write(source: ViewSource, out: Path, longest_side: int, depth: bool) -> Non
     spec = Layout(dataset.path).spec
     if spec.is_file():
         link(spec, Layout(out).spec)
-    said = {SHRUNK: f"area means of {dataset.description.name}, at most {longest_side} px"}
-    described = replace(dataset.description, cameras=tuple(entries), provenance=dataset.description.provenance | said)
+    note = {SHRUNK: f"area means of {dataset.description.name}, at most {longest_side} px"}
+    described = replace(dataset.description, cameras=tuple(entries), provenance=dataset.description.provenance | note)
     described.write(out)
 
 

@@ -61,7 +61,7 @@ class ClockFit:
     offset_s: float
     drift: float
     sigma_s: float
-    said: str
+    note: str
 
 
 def synchronise_without_board(videos: list[Path], rates: Sequence[float | None]) -> tuple[FrameTimesFile, list[str]]:
@@ -77,32 +77,32 @@ def synchronise_without_board(videos: list[Path], rates: Sequence[float | None])
         raise GofError("one film alone has no other to be compared with")
     names, infos = distinct_names(videos), [read_info(video) for video in videos]
     own = [_own_times(info, rate) for info, rate in zip(infos, rates, strict=True)]
-    said: list[str] = []
+    notes: list[str] = []
     fits: list[ClockFit] | None = None
     clock: Clock = "sound"
     if any(rate is not None for rate in rates):
-        said.append("sound: not used, as --fps says that the films do not play at the rate at which they were filmed")
+        notes.append("sound: not used, as --fps says that the films do not play at the rate at which they were filmed")
     else:
         try:
             fits = by_sound(names, [read_sound(video) for video in videos])
         except (NoSound, NoSoundClock) as e:
-            said.append(f"sound: {e}")
+            notes.append(f"sound: {e}")
     try:
         by_flame = by_light(names, own, [read_light(video) for video in videos])
         if fits is None:
             fits, clock = by_flame, "flame"
         else:
-            said += _compared(names, own, fits, by_flame)
+            notes += _compared(names, own, fits, by_flame)
     except NoFlameClock as e:
-        said.append(f"flame: {e}")
+        notes.append(f"flame: {e}")
     if fits is None:
-        raise GofError(f"the films' clocks cannot be compared: {'; '.join(said)}")
+        raise GofError(f"the films' clocks cannot be compared: {'; '.join(notes)}")
     cameras = [
         SyncedVideo(name, str(video), _described(info, times, fit, clock), None, fingerprint(video))
         for name, video, info, times, fit in zip(names, videos, infos, own, fits, strict=True)
     ]
-    warnings = tuple(f"{name}: {fit.said}" for name, fit in zip(names, fits, strict=True) if fit.said)
-    return FrameTimesFile(NO_BOARD, 0.0, tuple(cameras), nearest_frames(cameras), warnings), said
+    warnings = tuple(f"{name}: {fit.note}" for name, fit in zip(names, fits, strict=True) if fit.note)
+    return FrameTimesFile(NO_BOARD, 0.0, tuple(cameras), nearest_frames(cameras), warnings), notes
 
 
 def _own_times(info: VideoInfo, rate: float | None) -> np.ndarray:
@@ -139,12 +139,12 @@ def by_sound(names: list[str], sounds: list[np.ndarray]) -> list[ClockFit]:
             raise NoSoundClock(f"the films' sounds contradict each other by {1000 * max(open_s):.1f} ms")
         sigma = float(np.hypot(SOUND_S, max([lag.sigma_s, *open_s])))
         drift = f", clocks drift by {1e6 * lag.drift:+.0f} us per s" if lag.drift else ""
-        said = (
+        note = (
             f"its times are by SOUND against {names[0]}: {lag.heard} of {lag.stretches} stretches agree, to "
             f"{1000 * lag.sigma_s:.2f} ms{drift}; +-{1000 * sigma:.1f} ms, as sound needs 2.9 ms per metre; a "
             "camera's own delay between sound and picture is not seen"
         )
-        fits.append(ClockFit(lag.lag_s, lag.drift, sigma, said))
+        fits.append(ClockFit(lag.lag_s, lag.drift, sigma, note))
     return fits
 
 
@@ -182,11 +182,11 @@ def by_light(names: list[str], own: list[np.ndarray], lights: list[FlameLight]) 
     solved = np.linalg.lstsq(matrix * root[:, None], np.array(values) * root, rcond=None)[0]
     open_s = float(np.abs(matrix @ solved - values).max())
     sigma = float(np.hypot(np.sqrt(np.average(errors, weights=weights)) * max(steps), open_s))
-    said = (
+    note = (
         f"its times are ESTIMATED from the flame's light against the other films' (they close to "
         f"{1000 * open_s:.1f} ms): +-{1000 * sigma:.1f} ms, about {sigma / max(steps):.1f} frames"
     )
-    return [ClockFit(0.0, 0.0, sigma, ""), *(ClockFit(float(offset), 0.0, sigma, said) for offset in solved)]
+    return [ClockFit(0.0, 0.0, sigma, ""), *(ClockFit(float(offset), 0.0, sigma, note) for offset in solved)]
 
 
 def _evenly(light: FlameLight, times: np.ndarray, step: float) -> FlameLight:
@@ -200,19 +200,19 @@ def _evenly(light: FlameLight, times: np.ndarray, step: float) -> FlameLight:
 
 def _compared(names: list[str], own: list[np.ndarray], sound: list[ClockFit], light: list[ClockFit]) -> list[str]:
     """Return what the flames' light says of the clocks that sound gave."""
-    said = []
+    notes = []
     for name, times, one, other in list(zip(names, own, sound, light, strict=True))[1:]:
         middle = float(times.mean())
         apart = one.offset_s + one.drift * middle - other.offset_s
         spread_s = np.hypot(one.sigma_s, other.sigma_s)
         words = "which agrees" if abs(apart) <= 2 * spread_s else "which CONTRADICTS it: compare a moment in both"
-        said.append(
+        notes.append(
             f"{name}: the flame's light is {1000 * apart:+.1f} ms from its sound (+-{1000 * spread_s:.1f}), {words}"
         )
-    return said
+    return notes
 
 
 def _described(info: VideoInfo, own: np.ndarray, fit: ClockFit, clock: Clock) -> VideoTimes:
     time_s, step_us = own * (1 + fit.drift) + fit.offset_s, 1e6 * float(np.median(np.diff(own)))
     size, sigma_us = (info.width, info.height), 1e6 * fit.sigma_s
-    return VideoTimes.estimated(size, time_s.tolist(), step_us, sigma_us, clock, info.stated_fps, fit.said)
+    return VideoTimes.estimated(size, time_s.tolist(), step_us, sigma_us, clock, info.stated_fps, fit.note)

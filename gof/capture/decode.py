@@ -112,7 +112,7 @@ def carried_over(found: CameraTimes, shown: np.ndarray) -> CameraTimes:
     sigma = np.hypot(line_sigma(index, used, (measured - time)[used], len(time)), wander_us(shown, time))
     sigma = np.hypot(sigma, found.systematic_us)
     hidden = int((~shown).sum())
-    said = (
+    note = (
         f"the board is hidden in {hidden} of {len(shown)} frames: their times lie on a straight line between those "
         f"that show it, +-{sigma.max():.0f} us at most if the camera's clock is steady to {WANDER * 1e6:g} ppm"
     )
@@ -124,7 +124,7 @@ def carried_over(found: CameraTimes, shown: np.ndarray) -> CameraTimes:
         used=used,
         clock_index=index,
         hidden=hidden,
-        warnings=[*found.warnings, said, *warnings],
+        warnings=[*found.warnings, note, *warnings],
     )
 
 

@@ -203,7 +203,7 @@ def _require_chosen(chosen: Board, found: Board | None, likeness: dict[str, dict
 
 def _evidence(likeness: dict[str, dict[str, _Likeness]]) -> str:
     """Return every camera's findings about every board, in words."""
-    said = []
+    findings = []
     for camera, found in likeness.items():
         each = [
             f"{one.lights} lights lie {one.off:.2f} marker sides beside those of {name}"
@@ -211,8 +211,8 @@ def _evidence(likeness: dict[str, dict[str, _Likeness]]) -> str:
             else f"no light where {name} has them"
             for name, one in found.items()
         ]
-        said.append(f"{camera}: {', '.join(each) or 'no marker'}")
-    return "; ".join(said)
+        findings.append(f"{camera}: {', '.join(each) or 'no marker'}")
+    return "; ".join(findings)
 
 
 def require_strips(board: Board | None, for_what: str) -> BoardTemplate:

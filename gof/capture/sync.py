@@ -96,7 +96,7 @@ def synchronise(
     return FrameTimesFile(template.name, period_us, tuple(cameras), nearest_frames(cameras), tuple(warnings))
 
 
-def _said(camera: SyncedVideo) -> list[str]:
+def _warnings_of(camera: SyncedVideo) -> list[str]:
     """Return the warnings of a camera."""
     own = [] if camera.times is None else [*camera.times.faults, *camera.times.warnings]
     return [f"{camera.name}: {text}" for text in ([camera.error] if camera.error else []) + own]
@@ -113,8 +113,8 @@ def _estimate_missing(cameras: list[SyncedVideo]) -> list[SyncedVideo]:
         if camera.times is None:
             try:
                 estimated = estimate_times(Path(camera.video), read_light(Path(camera.video)), known)
-                said = (f"not decoded ({camera.error})", *estimated.warnings)
-                camera = replace(camera, times=replace(estimated, warnings=said), error=None)
+                warnings = (f"not decoded ({camera.error})", *estimated.warnings)
+                camera = replace(camera, times=replace(estimated, warnings=warnings), error=None)
             except GofError as e:
                 camera = replace(camera, error=f"{camera.error}; and no clock from the flame: {e}")
         found.append(camera)
@@ -227,11 +227,11 @@ def _apart(decoded: dict[str, CameraTimes]) -> dict[str, str]:
     main = max(together, key=lambda n: len(together[n]))
     odd = [n for n in decoded if not together[main] or (n != main and n not in together[main])]
     spans = ", ".join(f"{n} {1e-6 * t.time_us[0]:.3f} to {1e-6 * t.time_us[-1]:.3f} s" for n, t in decoded.items())
-    said = (
+    warning = (
         f"by the board's clock the cameras did not film at the same time ({spans}). Are the videos of one take, was "
         "the board restarted between them, or does each film another board?"
     )
-    return dict.fromkeys(odd, said)
+    return dict.fromkeys(odd, warning)
 
 
 def nearest_frames(cameras: list[SyncedVideo]) -> dict[str, NearestFrame]:

@@ -54,9 +54,9 @@ def warnings_of(cameras: list[SyncedVideo], most_us: float = MOST_US, period_us:
     found = []
     for k, (name, times) in enumerate(read):
         others = [other for j, (_, other) in enumerate(read) if j != k]
-        said = _missing(times) + _odd_row_time(times, others) + _ragged(times, others, most_us)
-        said += _odd_rate(times) + _badly_seen(times, period_us)
-        found += [f"{name}: {text}" for text in said]
+        texts = _missing(times) + _odd_row_time(times, others) + _ragged(times, others, most_us)
+        texts += _odd_rate(times) + _badly_seen(times, period_us)
+        found += [f"{name}: {text}" for text in texts]
     rates = [times.fps for _, times in read]
     if rates and max(rates) - min(rates) > RATE_SPREAD * min(rates):
         listed = ", ".join(f"{name} {times.fps:.2f}" for name, times in read)

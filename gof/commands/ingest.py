@@ -209,10 +209,10 @@ def ingest(config: IngestConfig) -> Ingested:
 def known_rig(folder: Path, footage: Footage) -> KnownRig:
     """Return the rig of a dataset. Raises GofError: the footage's lenses are not known; see `KnownRig.read`."""
     if footage.search is not None:
-        said = Dataset.open(folder).description.provenance.get("fov_deg")
+        fov = Dataset.open(folder).description.provenance.get("fov_deg")
         raise GofError(
             f"--rig {folder}: its poses hold for its lenses; give them with --fov or --cameras"
-            + (f" (it has a field of view of {said[0]:g} degrees)" if said else "")
+            + (f" (it has a field of view of {fov[0]:g} degrees)" if fov else "")
         )
     return KnownRig.read(folder, footage.upright_lenses)
 

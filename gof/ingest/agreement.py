@@ -43,12 +43,12 @@ def turns_by_tags(
     shapes = [_upright_shape(video, turn) for video, turn in zip(videos, turns, strict=True)]
     by_tag = [video for video, turn in zip(videos, each, strict=True) if turn == "auto"]
     if len({video.rotation_deg for video in by_tag}) > 1 and {"stands", "lies"} <= set(shapes):
-        said = "; ".join(
+        tags = "; ".join(
             f"{v.path.name}: tag {v.rotation_deg or 'none'}, so its picture {shape}"
             for v, shape in zip(videos, shapes, strict=True)
         )
         raise GofError(
-            f"the files' rotation tags differ, and so do their pictures ({said}): was one copied by a program that "
+            f"the files' rotation tags differ, and so do their pictures ({tags}): was one copied by a program that "
             "drops the tag? Say how each is turned upright, in the videos' order, as --turn "
             f"{' '.join(turns)} (none, clockwise, counterclockwise, half)"
         )

@@ -240,8 +240,8 @@ def _read(video: Path) -> VideoInfo:
 
 def _described(info: VideoInfo) -> dict[str, Any]:
     """For dataset.json."""
-    said = {f.name: getattr(info, f.name) for f in fields(info) if f.name not in ("path", "stamps_s", "numbers")}
-    return {"name": info.path.name, **said}
+    stated = {f.name: getattr(info, f.name) for f in fields(info) if f.name not in ("path", "stamps_s", "numbers")}
+    return {"name": info.path.name, **stated}
 
 
 def _poses(cameras: list[CalibratedCamera]) -> np.ndarray | None:

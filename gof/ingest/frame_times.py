@@ -104,7 +104,7 @@ class Timing:
 
     @property
     def begins_are_known(self) -> bool:
-        """Whether somebody said which frames were taken together, so that clips may differ in length."""
+        """Whether it is known which frames were taken together, so that clips may differ in length."""
         return self.times is not None or len(self.start) > 1 or self.limit is not None
 
 
@@ -257,11 +257,13 @@ def measured_times(timing: Timing, videos: list[VideoInfo]) -> FrameTimes:
         source += "; the clocks are by the films' sound"
     times = FrameTimes.of(pairing, begins, row_time_s, [camera.readout for camera in cameras], source)
     warnings = tuple(f"{name}: {warning}" for name, camera in by_name for warning in camera.warnings)
-    said = (f"the clock of {', '.join(estimated)} is estimated from the flame, to milliseconds",) if estimated else ()
+    guessed = (
+        (f"the clock of {', '.join(estimated)} is estimated from the flame, to milliseconds",) if estimated else ()
+    )
     if timing.masks:
         boards, masked = board_masks(by_name, [(video.width, video.height) for video in videos])
         times = replace(times, boards=boards, notes=(*times.notes, *masked))
-    return replace(times, notes=(*notes, *said, *warnings, *times.notes))
+    return replace(times, notes=(*notes, *guessed, *warnings, *times.notes))
 
 
 def board_masks(

@@ -210,9 +210,9 @@ def _stands(frames: np.ndarray, name: str, numbers: np.ndarray, info: VideoInfo)
         shake = graded("shake", name, share, (0.0015, 0.01), words, f"{tripod}; gof ingest puts up to 2 % right")
     gain = found.gain.mean(1)
     change = float(gain.max() / gain.min() - 1)
-    said = [note.removeprefix(f"{name}: ") for note in found.notes if "change" in note or "flicker" in note]
-    if change == 0 and said:
-        return [shake, Finding("light", name, "look", None, said[0], lock)]
+    notes = [note.removeprefix(f"{name}: ") for note in found.notes if "change" in note or "flicker" in note]
+    if change == 0 and notes:
+        return [shake, Finding("light", name, "look", None, notes[0], lock)]
     words = f"the exposure changes by {change:.0%}"
     return [shake, graded("light", name, change, (0.03, 0.5), words, f"{lock}; gof ingest puts such changes right")]
 

@@ -28,7 +28,7 @@ SPLATS = {
     ".glb": "a GLB",
     ".gltf": "a glTF",
 }
-OPTIONS = tuple(FLAGS)  # what was said of a file that cannot be read does not matter
+OPTIONS = tuple(FLAGS)  # options for a file that cannot be read does not matter
 
 
 def reason(source: Source) -> str | None:
