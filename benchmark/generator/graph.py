@@ -81,7 +81,7 @@ class Generation:
         self._rendered = 0  # pictures, in this run
         self._plates = 0
         self._steps = 0  # of the solver
-        self._said: set[str] = set()
+        self._printed: set[str] = set()
         self._wall_before = {cost.name: cost.settings.get("wall_s", 0.0) for cost in log.stages()}
         self._begun: dict[str, float] = {}  # stage -> clock when its first task began
         self._now = now
@@ -174,8 +174,8 @@ class Generation:
 
     def _say_once(self, text: str) -> None:
         """Print a line above the progress, unless it has been printed."""
-        if text not in self._said:
-            self._said.add(text)
+        if text not in self._printed:
+            self._printed.add(text)
             print(f"\n{text}", file=sys.stderr)
 
     def _wall_s(self, stage: str, seconds: float) -> float:

@@ -91,7 +91,7 @@ def synchronise(
     warnings = [
         *settled,
         *warnings_of(cameras, _most_us(template), period_us),
-        *chain.from_iterable(map(_said, cameras)),
+        *chain.from_iterable(map(_warnings_of, cameras)),
     ]
     return FrameTimesFile(template.name, period_us, tuple(cameras), nearest_frames(cameras), tuple(warnings))
 

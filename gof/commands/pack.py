@@ -40,7 +40,7 @@ class PackConfig:
 def main(argv: list[str]) -> int:
     """Run `gof pack`."""
     config = read_options(PackConfig, "pack", argv)
-    require_said(config)
+    require_stated(config)
     made = {}
     datasets = {folder: Dataset.open(folder) for folder in config.datasets}  # all of them, before any is packed
     out = config.out or require_writable(config.datasets[0].absolute().parent)
@@ -54,7 +54,7 @@ def main(argv: list[str]) -> int:
     return 0
 
 
-def require_said(config: PackConfig) -> None:
+def require_stated(config: PackConfig) -> None:
     """Raise GofError: the licence or the authors are missing; it names both, and the whole command."""
     licence, authors = config.licence.strip(), [name for name in config.authors if name.strip()]
     missing = ["--licence"] * (not licence) + ["--authors"] * (not authors)
