@@ -2,7 +2,7 @@
 
 A page with the line `<!-- generated: NAME -->` gets that part when the site is built (tools/site.py), in place
 of it and of a quoted line before it, which is for other viewers. Texts, defaults and units are those of the classes
-that commands and scenes are read into, ranges those that these check; the list of evidence scripts is their docstrings'.
+that commands and scenes are read into, ranges those that these check. Docstrings list the scripts of evidence.
 """
 
 from __future__ import annotations
