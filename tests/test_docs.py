@@ -1,4 +1,4 @@
-"""What the documents name exists: tests, files, pictures, commands, modules; every evidence script is in its table."""
+"""What the documents name exists: tests, files, pictures, commands, modules; evidence scripts say how they are run."""
 
 import ast
 import re
@@ -9,6 +9,8 @@ import pytest
 from gof.commands.cli import commands
 from gof.commands.renamed import COMMANDS
 from tests.test_printed_commands import SOURCES, texts
+from tools import evidence
+from tools.references import of_evidence
 
 ROOT = Path(__file__).parents[1]
 EVIDENCE = ROOT / "benchmark/evidence"
@@ -73,28 +75,23 @@ def test_troubleshooting_quotes_what_the_program_prints():
 # ---------------------------------------------------------------- benchmark/evidence
 
 
-def evidence_rows() -> list[list[str]]:
-    """Cells of the table: claim, command, how long it takes."""
-    lines = [line for line in (EVIDENCE / "README.md").read_text().splitlines() if line.startswith("| ")]
-    return [[cell.strip() for cell in line.strip("|").split("|")] for line in lines[1:]]
-
-
 def evidence_scripts() -> set[str]:
     """Names of the scripts: what can be run with `python -m`."""
     return {path.stem for path in EVIDENCE.glob("*.py") if 'if __name__ == "__main__":' in path.read_text()}
 
 
-def test_every_evidence_script_is_in_the_table_and_every_row_has_its_script():
-    named = [modules_run_by(script) for _, script, _ in evidence_rows()]
-    assert all(len(modules) == 1 for modules in named), "one script per row"
-    assert {module.removeprefix("evidence.") for modules in named for module in modules} == evidence_scripts()
-    assert len(named) == len(evidence_scripts()), "one row per script"
+def test_every_evidence_script_is_listed_with_its_command_and_time():
+    rows = [[cell.strip() for cell in line.strip("|").split(" | ")] for line in of_evidence().splitlines()[2:]]
+    assert [re.split(r"[ `]", script)[1] for script, *_ in rows] == sorted(evidence_scripts())
+    for script, measures, takes, _ in rows:
+        assert len(measures) > 20 and takes.startswith(("about", "seconds")), script
 
 
-def test_every_evidence_row_has_a_claim_and_its_time():
-    for claim, command, takes in evidence_rows():
-        assert claim, command
-        assert takes.startswith("about") or takes == "seconds", command
+def test_a_script_without_its_command_or_time_is_refused(tmp_path, monkeypatch):
+    (tmp_path / "one.py").write_text('"""Measures."""\nif __name__ == "__main__":\n    pass\n')
+    monkeypatch.setattr(evidence, "SCRIPTS", tmp_path)
+    with pytest.raises(ValueError, match="one.py.*Takes"):
+        evidence.scripts()
 
 
 @pytest.mark.parametrize("name", sorted(evidence_scripts()))

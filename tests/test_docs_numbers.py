@@ -27,7 +27,6 @@ NOT_MEASURED = {  # (page, heading): what its figures are
     ("docs/capture.md", "The LED board: film, synchronise, calibrate"): BOARD,
     ("docs/capture.md", "When a take is not in order"): LIMITS,
     ("docs/capture_board.md", "Mount it"): BOARD,
-    ("docs/effects.md", "The sync board"): BOARD,
     ("docs/formats.md", "Motion of pixels"): LIMITS,
     ("docs/formats.md", "OpenUSD"): "a version",
     ("docs/how_real.md", "What real fires do"): THEIRS,

@@ -21,22 +21,25 @@ measured figures that quote no file, on which a test fails.
 from __future__ import annotations
 
 import argparse
+import ast
 import datetime
 import re
 import subprocess
 import sys
 import textwrap
 import time
+from dataclasses import dataclass
 from pathlib import Path
 
 from gof.core.files import read_json, write_json
 from gof.host.checks import cpu_name
 
 ROOT = Path(__file__).resolve().parents[1]
-TABLE = ROOT / "benchmark" / "evidence" / "README.md"
+SCRIPTS = ROOT / "benchmark" / "evidence"
 FOLDER = ROOT / "evidence"
 SCHEMA, VERSION = "gof-evidence", 1
-COMMAND = re.compile(r"\| `python -m gof_benchmark\.evidence\.(\w+)([^`]*)`([^|]*)\|")
+USAGE = re.compile(r"^ {4}python -m gof_benchmark\.evidence\.(\w+)\b(.*)$", re.MULTILINE)  # [what may be left out]
+TAKES = re.compile(r"^Takes (.+?)\.(?: Needs (.+)\.)?$", re.MULTILINE)
 QUOTE = re.compile(r"<!-- evidence: (\w+(?:, \w+)*)(?: / (.+?) / (.+?))? -->")
 ALONE = re.compile(r"^<!-- evidence: (\w+(?:, \w+)*) -->$", re.MULTILINE)  # for the table or text below it
 # Figures with the unit of a measurement, scores, and charts that a script draws.
@@ -48,12 +51,45 @@ NUMBERS_OF_NAMES = re.compile(r"`[^`]*`|\b(?:Python|numpy|arXiv) \d[\d.]*(?: to 
 FIGURE = re.compile(r"(?<![\w.])\d+(?:\.\d+)?(?![\w.]*\d)")
 
 
-def commands() -> dict[str, tuple[list[str], str]]:
-    """Return the words and the needs ("": none) of each script by its name, as the table of evidence has them."""
+@dataclass(frozen=True)
+class Script:
+    """A script of benchmark/evidence, by its docstring: what it measures, how it is run, how long, with what."""
+
+    measures: str
+    words: list[str]
+    takes: str
+    needs: str  # "": nothing but this machine
+
+    @property
+    def places(self) -> str:
+        """Words in capitals, which stand for files of the reader; "": there are none."""
+        return ", ".join(dict.fromkeys(re.findall(r"[A-Z]{3,}[\w/]*", " ".join(self.words))))
+
+
+def scripts() -> dict[str, Script]:
+    """Return every script by its name. Raises ValueError: a docstring has no usage, or no line on time and needs."""
     found = {}
-    for name, words, more in COMMAND.findall(TABLE.read_text(encoding="utf-8")):
-        places = ", ".join(dict.fromkeys(re.findall(r"[A-Z]{3,}[\w/]*", words)))
-        found[name] = (words.split(), places and f"needs {places} {more.strip()}".strip())
+    for path in sorted(SCRIPTS.glob("*.py")):
+        text = path.read_text(encoding="utf-8")
+        if 'if __name__ == "__main__":' not in text:
+            continue
+        about = ast.get_docstring(ast.parse(text)) or ""
+        usage = {name: words for name, words in USAGE.findall(about)}
+        takes = TAKES.search(about)
+        if path.stem not in usage or takes is None:
+            raise ValueError(f"{path}: its docstring lacks its command, or a line that begins with Takes")
+        words = re.sub(r"\[[^]]*\]", "", usage[path.stem]).split()
+        summary = re.split(r"(?<=[.?])\s", about)[0]
+        found[path.stem] = Script(summary, words, takes[1], takes[2] or "")
+    return found
+
+
+def commands() -> dict[str, tuple[list[str], str]]:
+    """Return the words and the needs ("": it runs with nothing but this machine) of each script by its name."""
+    found = {}
+    for name, script in scripts().items():
+        more = f" ({script.needs})" if script.needs else ""
+        found[name] = (script.words, f"needs {script.places}{more}" if script.places else "")
     return found
 
 
@@ -229,7 +265,7 @@ def main(argv: list[str] | None = None) -> int:
         keep(asked.names[0], tables, " ".join(own), asked.commit, asked.seconds, asked.cpu)
         return 0
     if unknown := set(asked.names) - set(known):
-        parser.error(f"no such script: {', '.join(sorted(unknown))}; benchmark/evidence/README.md lists them")
+        parser.error(f"no such script: {', '.join(sorted(unknown))}; python -m tools.references evidence lists them")
     if own is not None and len(asked.names) != 1:
         parser.error("words after -- are for one script; name it")
     for name in asked.names or known:

@@ -1,7 +1,7 @@
-"""Who imports whom: files and rooms as graphs, for tests/test_structure.py and docs/architecture.md.
+"""Who imports whom: files and rooms as graphs, for tests/test_structure.py and docs/imports.mmd.
 
-python tools/import_graph.py          print the diagram of docs/architecture.md
-python tools/import_graph.py --write  put it there
+python tools/import_graph.py          print the diagram of docs/imports.mmd, which a code host draws
+python tools/import_graph.py --write  write it there
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ ENTRANCES = {"gof.commands.cli": "gof/commands", "gof.__main__": "gof/commands",
 ENTRANCES |= {"gof_blender.core": "gof/core"}
 CORE = ("gof_blender.core.", "gof.core.")  # the same files under two names (setup.py)
 PAGE = ROOT / "docs" / "architecture.md"
-BEGIN, END = "<!-- made by tools/import_graph.py --write -->\n", "<!-- end -->\n"
+DIAGRAM = ROOT / "docs" / "imports.mmd"
 
 
 def modules() -> dict[str, Path]:
@@ -103,7 +103,7 @@ def room_graph() -> dict[str, set[str]]:
 def diagram() -> str:
     """Return the rooms as a Mermaid flowchart. An arrow that a longer way round implies is left out."""
     graph = room_graph()
-    lines = ["```mermaid", "flowchart TD"]
+    lines = ["flowchart TD"]
     for folder in FOLDERS.values():
         lines.append(f"  subgraph {folder}")
         lines += [f'    {_key(room)}["{room}"]' for room in sorted(graph) if room.split("/")[0] == folder]
@@ -111,7 +111,7 @@ def diagram() -> str:
     for room in sorted(graph):
         implied = {far for near in graph[room] for far in _reachable(graph, near)}
         lines += [f"  {_key(room)} --> {_key(other)}" for other in sorted(graph[room] - implied)]
-    return "\n".join([*lines, "```"]) + "\n"
+    return "\n".join(lines) + "\n"
 
 
 def _reachable(graph: dict[str, set[str]], start: str) -> set[str]:
@@ -129,16 +129,9 @@ def _key(room: str) -> str:
     return room.replace("/", "_")
 
 
-def page_with(text: str, new: str) -> str:
-    """Return a page with its diagram replaced."""
-    before, _, rest = text.partition(BEGIN)
-    _, _, after = rest.partition(END)
-    return before + BEGIN + new + END + after
-
-
 def main() -> int:
     if "--write" in sys.argv[1:]:
-        PAGE.write_text(page_with(PAGE.read_text(encoding="utf-8"), diagram()), encoding="utf-8")
+        DIAGRAM.write_text(diagram(), encoding="utf-8")
     else:
         print(diagram(), end="")
     return 0

@@ -1,8 +1,8 @@
-"""Reference pages made from the code, as Markdown: python -m tools.references [commands|spec]
+"""Reference pages made from the code, as Markdown: python -m tools.references [commands|spec|evidence]
 
-A page in docs/ with the line `<!-- generated: NAME -->` gets that part when the site is built (tools/site.py), in place
+A page with the line `<!-- generated: NAME -->` gets that part when the site is built (tools/site.py), in place
 of it and of a quoted line before it, which is for other viewers. Texts, defaults and units are those of the classes
-that commands and scenes are read into, ranges those that these check.
+that commands and scenes are read into, ranges those that these check. Docstrings list the scripts of evidence.
 """
 
 from __future__ import annotations
@@ -29,6 +29,7 @@ from gof.commands.read import parts_of_docstring
 from gof_blender.pure import effects
 from gof_blender.pure.spec import SceneSpec
 from gof_blender.ui.effect_groups import unit_of
+from tools import evidence
 
 MARK = re.compile(r"^(?:> .*\n\n)?<!-- generated: (\w+) -->$", re.MULTILINE)  # and the note for other viewers
 
@@ -238,6 +239,19 @@ def _words(rule: ast.expr, known: dict) -> str:
 
 
 # ----------------------------------------------------------------
+# Scripts of evidence
+
+
+def of_evidence() -> str:
+    """Return a table of the scripts that measure what pages say."""
+    rows = []
+    for name, script in evidence.scripts().items():
+        pieces = re.split(r" (?=--)", " ".join([name, *script.words]))  # each wraps as a whole
+        rows.append((" ".join(map(_code, pieces)), script.measures, script.takes, script.needs))
+    return _table(("script", "it measures", "takes", "needs"), rows)
+
+
+# ----------------------------------------------------------------
 # Markdown
 
 
@@ -262,7 +276,7 @@ def _table(head: tuple[str, ...], rows: Iterable[tuple[str, ...]]) -> str:
     return "\n".join("| " + " | ".join(cell.replace("|", "\\|") for cell in line) + " |" for line in lines)
 
 
-PARTS = {"commands": of_commands, "spec": of_spec}
+PARTS = {"commands": of_commands, "spec": of_spec, "evidence": of_evidence}
 
 if __name__ == "__main__":
     for part in sys.argv[1:] or PARTS:

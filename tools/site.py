@@ -52,7 +52,9 @@ def stage(folder: Path) -> None:
             if wrong := wrong_quotes(text):
                 sys.exit("\n".join(f"{path.relative_to(ROOT)}: {line}" for line in wrong))
             page = page_of_site(with_terms(text, path.relative_to(ROOT).as_posix()))
-            target.write_text(page if path in (*for_users, ROOT / "README.md") else UNSEARCHED + page, encoding="utf-8")
+            searched = REFERENCE if references.MARK.search(text) else ""
+            head = searched if path in (*for_users, ROOT / "README.md") else UNSEARCHED
+            target.write_text(head + page, encoding="utf-8")
         else:
             shutil.copyfile(path, target)
 
@@ -95,7 +97,7 @@ def page_of_site(text: str) -> str:
     text = re.sub(r"(?<=[\d*]) ± (?=\d)", "\u00a0±\u00a0", text)
     for picture in list(PICTURE.finditer(text))[:0:-1]:
         text = f"{text[: picture.end()]}{{ loading=lazy }}{text[picture.end() :]}"
-    return REFERENCE + references.filled(text) if references.MARK.search(text) else text
+    return references.filled(text)
 
 
 def _is_shown(path: Path) -> bool:

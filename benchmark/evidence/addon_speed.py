@@ -2,6 +2,8 @@
 
     python -m gof_benchmark.evidence.addon_speed
 
+Takes about 3 min.
+
 Every case runs in a Blender process of its own and is measured there: seconds on the clock, and seconds of CPU
 time over all threads, which the clock cannot exceed on a machine without other work; memory held, which is the growth
 of the resident size once the C library has returned what is free; and its peak. Goals are judged by CPU time.

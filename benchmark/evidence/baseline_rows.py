@@ -1,8 +1,10 @@
 """Rows of other methods beside ours on scenes of GoF-Bench, trained by their own code on this machine's CPU.
 
-    python -m gof_benchmark.evidence.baseline_rows WORK/standard OUT --wu 4DGaussians --yang 4d-gaussian-splatting \
-        --freetime FreeTimeGsVanilla --grid4d Grid4D --deformable Deformable-3D-Gaussians \
-        [--scenes jet logs foam_two_burners] [--ours gof ...] [--steps 3000] [--python THEIRS/bin/python]
+    python -m gof_benchmark.evidence.baseline_rows WORK/standard OUT --wu DIR --yang DIR --freetime DIR \
+        [--grid4d DIR] [--deformable DIR] [--scenes jet logs foam_two_burners] [--ours gof ...] \
+        [--steps 3000] [--python THEIRS/bin/python]
+
+Takes about two hours a scene. Needs checkouts of the other methods.
 
 Every scene is seen in smaller pictures, every method is trained for the same number of steps with the settings that its
 authors give for a scene of this kind, schedules shortened in proportion; then ours: with the flow prior, without, and

@@ -1,6 +1,8 @@
-"""How exact the times read off the LED board are, and what they cost. Prints tables.
+"""How exact the times read off the LED board are, and what they cost.
 
     python -m gof_benchmark.evidence.capture_accuracy [--captures FOLDER] [--parts synthetic real cost] [--json FILE]
+
+Takes about 20 min. Needs the paper's clips for its real part.
 
 synthetic: rendered footage (exact rolling shutter and exposure, tests/capture/synthetic.py) whose times are known.
 real: public clips of the paper's rig, FOLDER/capture_05/scene_0006/cam_0.mp4 ...; without them it says so and goes on.

@@ -1,6 +1,8 @@
 """The worth of each choice of the method today: ours, and ours with one choice after another undone; and the paper's.
 
-    python -m gof_benchmark.evidence.choices DATASET --out out/choices [--only "paper's fusion" ...] [--json FILE]
+    python -m gof_benchmark.evidence.choices DATASET [--out out/choices] [--only "paper's fusion" ...] [--json FILE]
+
+Takes about half a minute a row.
 
 DATASET has true velocity (`gof generate demo`). Every row is a reconstruction by `gof reconstruct`'s own code, with one
 field of `gof.reconstruct.methods.OURS` or of its PAPER changed; its folder is OUT/NAME, and finished rows are kept.

@@ -1,6 +1,8 @@
 """Can COLMAP find the cameras of a scene from its pictures? Structure from motion on views without fire.
 
-    python -m gof_benchmark.evidence.colmap_points workshop classroom cloister --work out/colmap
+    python -m gof_benchmark.evidence.colmap_points workshop classroom cloister [--work out/colmap]
+
+Takes about 4 min.
 
 The rig's few cameras stand too far apart for feature matching, as in a real set-up, where a calibration clip is filmed
 with one moving camera. So the views are many more cameras on the same arc. COLMAP runs as its users run it, with its

@@ -1,6 +1,8 @@
 """A scene at a glance: its cameras (rows) at five times (columns), from a dataset or from just the pictures it needs.
 
-    python -m gof_benchmark.evidence.contact_sheet cloister --work out/cloister --out sheet.jpg
+    python -m gof_benchmark.evidence.contact_sheet SCENE --work WORK --out PICTURE
+
+Takes about 10 min a scene.
 
 The sheets of the built-in scenes lie beside their specs.
 """

@@ -1,6 +1,8 @@
 """Is the cost model right for specs it was not fitted to, and what does the generator cost beyond bare Blender?
 
-    python -m gof_benchmark.evidence.cost_check --work out/cost_check
+    python -m gof_benchmark.evidence.cost_check [--work out/cost_check]
+
+Takes about 5 min.
 
 Makes two datasets and compares them with their predictions; then the bake and the renders of the first once more in a
 bare script: one process that calls Blender and keeps what Blender writes. CPU seconds, because a busy machine

@@ -1,6 +1,8 @@
 """The worth of DVE's quadrature order, grid resolution, precision and Monte Carlo, in error and in seconds.
 
-    python -m gof_benchmark.evidence.dve_orders --gaussians 2000
+    python -m gof_benchmark.evidence.dve_orders [--gaussians 2000]
+
+Takes about 2 min.
 
 The truth is a closed form of the expected velocity (written out at the end of this file).
 """

@@ -1,6 +1,8 @@
 """Time and memory of a frame's DVE against the number of Gaussians and the size of the field, in one run.
 
-    python -m gof_benchmark.evidence.dve_speed --json dve_speed.json
+    python -m gof_benchmark.evidence.dve_speed [--json dve_speed.json]
+
+Takes about 20 min.
 
 The fields are a closed-form swirling plume in a sparse chunked store (float16, written by the generator's own writer)
 in a temporary folder. Every case is a process of its own, so its peak memory is its own. "gof" is the whole of `dve`:

@@ -1,6 +1,8 @@
 """The cost of each effect: CPU seconds per solver step and per picture, memory and disk, measured one by one.
 
-    python -m gof_benchmark.evidence.effect_costs --out out/effect_costs
+    python -m gof_benchmark.evidence.effect_costs [--out out/effect_costs]
+
+Takes about 5 min.
 
 CPU seconds rather than wall seconds, so that a busy machine changes little.
 """

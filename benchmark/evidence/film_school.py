@@ -1,6 +1,8 @@
 """Good and bad ways to film a fire, side by side, and the faults that `gof capture check-footage` finds.
 
-    python -m gof_benchmark.evidence.film_school DEMO --work out/school --out docs/images/film_school.webp
+    python -m gof_benchmark.evidence.film_school DEMO --work WORK --out docs/images/film_school.webp
+
+Takes about 5 min.
 
 DEMO is a dataset of `gof demo` or `gof generate demo`. Its fire is filmed anew by cameras that stand as they should,
 too far away, and before an empty wall (`--fire-of`: pictures only); the other faults are made of good pictures. Every

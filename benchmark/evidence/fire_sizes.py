@@ -1,5 +1,9 @@
 """How fast our own solver's gas is at three sizes, as it was and as it follows the fire's size, beside McCaffrey's law.
 
+    python -m gof_benchmark.evidence.fire_sizes
+
+Takes about 3 min.
+
 Each fire is baked twice, with `fire.speeds` "solver" and "physical"; nothing is rendered.
 """
 

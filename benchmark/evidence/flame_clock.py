@@ -1,6 +1,8 @@
-"""How well clocks are estimated from the flame alone. Prints two tables.
+"""How well clocks are estimated from the flame alone.
 
     python -m gof_benchmark.evidence.flame_clock [--captures FOLDER] [--json FILE]
+
+Takes about 3 min. Needs the paper's clips.
 
 The truth is what `gof capture sync` reads off the board in every camera (a few microseconds; half markers by marked
 points), which the estimates are not given. First, cameras are taken for ones without a board, in turn. Then the board

@@ -1,5 +1,9 @@
 """How much pictures of our flames look like filmed ones: their colours, their texture, and their flicker.
 
+    python -m gof_benchmark.evidence.flame_looks DATASET... --clips CLIPS
+
+Takes about 1 min. Needs the paper's clips.
+
 For each fire, in the pixels where its flame is: a histogram of display colours; the power of the picture's changes over
 cycles per flame height; the power of the whole flame's light over frequency. Printed are the distances to the filmed
 fires' mean, and what one filmed fire has to the mean of the others.

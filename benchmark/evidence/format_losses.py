@@ -2,6 +2,8 @@
 
     python -m gof_benchmark.evidence.format_losses RESULT
 
+Takes about 20 s. Needs the extras `splats` and `usd`.
+
 The result is written as its whole life, or at the middle of it, and read again: by gof, .spz and .sog by GaussForge. A
 GLB, whose numbers are float32, is read by its test (tests/io/test_gltf.py). A file of frames is compared at frames.
 """

@@ -1,6 +1,8 @@
-"""The built-in scenes reconstructed in four ways, ours and the paper's, scored as by `gof evaluate`. Prints a table.
+"""The built-in scenes reconstructed in four ways, ours and the paper's, scored as by `gof evaluate`.
 
-    python -m gof_benchmark.evidence.four_ways WORK [--scenes demo classroom] [--ways ours paper] [--seeds 3]
+    python -m gof_benchmark.evidence.four_ways WORK [--scenes classroom cloister] [--ways ours paper] [--seeds 3]
+
+Takes about 50 min beside other work.
 
 Makes the datasets first, smaller than `standard`, with few samples a pixel, which the denoiser forgives. The flame's
 PSNR for novel views is that of a camera that no method is given; only a scene of Gaussians can be seen from there.

@@ -1,4 +1,9 @@
-"""Where the demo's flame draws its air from: the gas' speed on the axis, with all sides open and with a floor."""
+"""Where the demo's flame draws its air from: the gas' speed on the axis, with all sides open and with a floor.
+
+    python -m gof_benchmark.evidence.gas_from_below
+
+Takes about 2 min.
+"""
 
 from __future__ import annotations
 

@@ -2,6 +2,8 @@
 
     python -m gof_benchmark.evidence.generated_board
 
+Takes about 2 min.
+
 Nothing is simulated or rendered: pictures pass through the effects, the display transform and the codec of a spec.
 """
 

@@ -1,6 +1,8 @@
-"""The motion that is left when the footage is bad. Prints a table.
+"""The motion that is left when the footage is bad.
 
-    python -m gof_benchmark.evidence.hard_cases DATASET [--optimise --out out/hard_cases]
+    python -m gof_benchmark.evidence.hard_cases DATASET --optimise [--out out/hard_cases]
+
+Takes about 15 min.
 
 DATASET (of `gof generate`, so that its true velocity is known) is spoiled in one way after the other, in memory. Scored
 is the fused field before any optimisation, as it is seen and after the flow prior: L2, CosSim and speed of DVE, and the

@@ -1,6 +1,8 @@
-"""How much memory does `gof ingest` take for long footage of three cameras? Prints a line of figures.
+"""How much memory does `gof ingest` take for long footage of three cameras?
 
     python -m gof_benchmark.evidence.ingest_memory [--width 1920] [--height 1080] [--frames 300]
+
+Takes about 5 min. Needs ffmpeg.
 
 Makes three videos with ffmpeg: its moving test picture with grain, as H.264. Poses are given, so that the figure is of
 reading, plates and writing; structure from motion depends on the pictures' size and not on their number.

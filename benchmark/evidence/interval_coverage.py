@@ -1,5 +1,9 @@
 """How often do the benchmark's intervals hold the true mean? On series whose mean and correlation are known.
 
+    python -m gof_benchmark.evidence.interval_coverage --repeats 2000
+
+Takes about a minute.
+
 First-order autoregressions of 24, 36 and 100 frames with eddy times of 0 to 6 frames. "blocks alone": the block
 bootstrap with blocks of one eddy time and the normal distribution, as it is usually done.
 """

@@ -1,7 +1,9 @@
 """Compare the light of `gof convert --into` with a rendered fire's own.
 
-    gof background DEMO/dataset --out ROOM
-    python -m gof_benchmark.evidence.into_room DEMO/dataset DEMO/reconstruct ROOM/background.ply
+    gof background DATASET --out ROOM
+    python -m gof_benchmark.evidence.into_room DATASET RESULT ROOM.ply
+
+Takes about a minute, after `gof background`.
 
 A dataset whose fire lights its room, and whose plates show the room without: the flame is put where it burnt into still
 Gaussians of the plates. The change by its light in a camera's view of these is added to the plate, and compared with

@@ -1,6 +1,8 @@
 """All built-in scenes, a candle, a campfire and a pool in one picture: as published, and at the looks of today.
 
-    python -m gof_benchmark.evidence.looks_sheet --work out/looks --out docs/figures/looks_sheet.webp
+    python -m gof_benchmark.evidence.looks_sheet --work WORK --out docs/figures/looks_sheet.webp
+
+Takes about 8 min.
 
 A row is a way to shine (`fire.light`), a column a fire; the pictures are of the first frame. More frames, at a rate,
 are for the flicker that `flame_looks` measures. Bakes and pictures that lie in the work folder are not made again.

@@ -4,6 +4,8 @@
         --percentage 12 --samples 2 --lights soot soot_noise
     python -m gof_benchmark.evidence.noise_truth WORK/demo_soot WORK/demo_soot_noise
 
+Takes about 3 min, with the bakes.
+
 The same fire baked without and with the effect `fine_noise`. Mantaflow's noise is a curl noise (Kim et al. 2008): the
 curl of a wavelet noise, as strong as the flow's small eddies, moves flame and soot on a finer grid, and never the gas.
 

@@ -1,5 +1,9 @@
 """Which sockets each command listens on: none, but for `gof view`, and that on loopback.
 
+    python -m gof_benchmark.evidence.open_sockets
+
+Takes about 4 min.
+
 Every command runs as a user runs it, on a toy scene; ten times a second the sockets of its processes are listed.
 Left out: what needs a camera rig (the rest of `gof capture`) and what calls the commands above (the other studies and
 parts of `gof benchmark`).

@@ -1,6 +1,8 @@
-"""Videos as phones, cheap cameras and broken copies leave them: what does `gof ingest` make of each? Prints a table.
+"""Videos as phones, cheap cameras and broken copies leave them: what does `gof ingest` make of each?
 
-    python -m gof_benchmark.evidence.ordinary_footage CLIP --out OUT [--fps 400] [--fov 35.53] [--marker-m 0.06]
+    python -m gof_benchmark.evidence.ordinary_footage CLIP [--out OUT] [--fps 400] [--fov 35.53] [--marker-m 0.06]
+
+Takes about 8 min. Needs ffmpeg and the paper's clips.
 
 CLIP holds cam_0.mp4, cam_1.mp4 and cam_2.mp4 of a fire (docs/ingest.md: the paper's capture_05/scene_0006). ffmpeg
 makes the variants. Whether frames were paired rightly is not taken from the clocks: every picture of the dataset is

@@ -1,6 +1,8 @@
 """The cost of a large picture of a fire, and which setting buys most: one picture, one setting changed at a time.
 
-    python -m gof_benchmark.evidence.picture_costs --out out/picture_costs
+    python -m gof_benchmark.evidence.picture_costs [--out out/picture_costs]
+
+Takes about 12 min.
 
 The demo's fire in the light of soot, one camera. Every picture is rendered in a Blender of its own, and its CPU
 seconds are those of that process between its request and its written files, which a busy machine hardly

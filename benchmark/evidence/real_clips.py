@@ -1,6 +1,8 @@
 """How well real flames are drawn: ours and the paper's choices on held-out frames, beside what 2D alone would do.
 
-    python -m gof_benchmark.evidence.real_clips DATASET... --out out/real --longest-side 854
+    python -m gof_benchmark.evidence.real_clips DATASET... --longest-side 854 --voxels 96 [--out out/real]
+
+Takes about 20 min a clip and method.
 
 DATASETs are of `gof ingest`, best after `gof capture annotate` (the board's LEDs then do not count). The trivial
 baselines draw a held-out frame by the two frames of *the same camera* around it: their mean, and each carried half way

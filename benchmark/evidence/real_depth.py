@@ -1,6 +1,8 @@
 """Whether filmed flames stand where stereo sees them: the authors' error of depth, and what it is without a flame.
 
-    python -m gof_benchmark.evidence.real_depth DATASET... --out out/real
+    python -m gof_benchmark.evidence.real_depth DATASET... [--out out/real]
+
+Takes about a minute a clip, after `real_clips`.
 
 OUT is that of `real_clips`, with both methods' results. The maps are those of `gof depth`: stereo between the cameras
 at every held-out frame, completed along the picture's edges; the authors take a monocular network's. The pictures show:

@@ -1,6 +1,8 @@
-"""Does the flow prior leave the direction of a real flame as its footage shows it? Prints a table.
+"""Does the flow prior leave the direction of a real flame as its footage shows it?
 
     python -m gof_benchmark.evidence.real_motion DATASET...
+
+Takes about 15 s a dataset.
 
 No truth is needed: DATASET may come from `gof ingest`. Per camera, the mean motion in its picture, weighted by light:
 of the footage's own optical flow; of the velocities fused from all cameras; of those after the flow prior. Directions

@@ -1,5 +1,9 @@
 """The memory of `gof reconstruct`, predicted and measured.
 
+    python -m gof_benchmark.evidence.reconstruct_memory DATASET
+
+Takes about a minute a row.
+
 Each row is a run of 120 steps in a process of its own, whose largest resident size the system tells.
 """
 

@@ -2,6 +2,8 @@
 
     python -m gof_benchmark.evidence.render_agreement [--picture FILE.png]
 
+Takes about 2 min.
+
 Central differences are those of the float64 twin (gof/render/reference.py).
 """
 

@@ -2,6 +2,8 @@
 
     python -m gof_benchmark.evidence.render_gpu [--quick] [--json FILE]
 
+Takes about 1 min. Needs an NVIDIA GPU.
+
 Three ways to draw take turns, each in a process of its own: native kernels and Dr.Jit's on all cores of the CPU, and
 Dr.Jit's on an NVIDIA GPU (left out where there is none). Where gsplat and a CUDA build of PyTorch are installed, its
 rasterizer draws and differentiates the same Gaussians; it has no loss and no optimiser. Times are medians, by the

@@ -2,6 +2,8 @@
 
     python -m gof_benchmark.evidence.render_kernels [--quick] [--json FILE]
 
+Takes about 2 min.
+
 CPU time of one thread, smallest and median of the repetitions. On a shared machine both change from minute to minute;
 because the two take turns their ratio does not. The last line has whole steps on all threads by the clock, which says
 something on a machine that does nothing else: its load is printed. Gaussians lie in random order first, and along the

@@ -2,6 +2,8 @@
 
     python -m gof_benchmark.evidence.render_lasting [--steps 5000] [--native-only]
 
+Takes about 4 min.
+
 The first table times a step in a process that finds no compiled kernel (empty folders), and in the next one, which
 finds them; the second holds the process' memory and the kernels that are new to it along a training in which Gaussians
 are added every hundred steps, a fiftieth of the first number each time.

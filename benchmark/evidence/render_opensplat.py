@@ -2,6 +2,8 @@
 
     python -m gof_benchmark.evidence.render_opensplat CLONE --build FOLDER [--quick] [--json FILE]
 
+Takes about 3 min. Needs your own clone, and g++.
+
 CLONE is your own clone of github.com/WebODM/OpenSplat (AGPL-3.0; nothing of it is in this project), of August 2026 or
 later. Its file rasterizer/gsplat-cpu/gsplat_cpu.cpp is compiled as it is, with -O3 -march=native and the PyTorch that
 is installed here, to a library in FOLDER; that takes g++ and a minute or two, once. Both draw and differentiate what

@@ -2,6 +2,8 @@
 
     python -m gof_benchmark.evidence.render_speed [--quick] [--json FILE]
 
+Takes about 10 min.
+
 Every figure is the minimum of several repetitions, as wall time and as CPU time over all threads (on a shared machine
 wall time is what the neighbours leave; ratios of CPU time within one run are the comparable figure). Mitsuba runs in
 processes of its own, once with its own settings of the LLVM backend and once with ours, and the faster of the two

@@ -1,6 +1,8 @@
-"""How exact the times read off a RocSync board are, on rendered footage whose times are known. Prints a table.
+"""How exact the times read off a RocSync board are, on rendered footage whose times are known.
 
     python -m gof_benchmark.evidence.ring_accuracy [--frames 60] [--only TEXT] [--json FILE]
+
+Takes about 15 s.
 
 The pictures have exact rolling shutter and exposure (tests/capture/synthetic.py, which shares only the board's
 template with the reader) and are read from files, as `gof capture sync --board rocsync` reads a camera's.

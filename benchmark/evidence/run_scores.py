@@ -1,6 +1,8 @@
 """Scores of finished reconstructions, runs of other seeds in one row, as `gof evaluate` wrote them beside each result.
 
-    python -m gof_benchmark.evidence.run_scores demo=out/demo_0,out/demo_1,out/demo_2 wind=out/wind
+    python -m gof_benchmark.evidence.run_scores NAME=RESULT,RESULT ...
+
+Takes seconds, after `gof evaluate`.
 
 Figures are means over the runs of a name; where there are several, the standard deviation stands behind L2.
 """

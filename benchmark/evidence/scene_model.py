@@ -1,6 +1,8 @@
 """A flame before plates, and in a still scene of Gaussians: motion, pictures, novel views, seconds; and a picture.
 
-    python -m gof_benchmark.evidence.scene_model DATASET RESULT RESULT ... [--picture FILE]
+    python -m gof_benchmark.evidence.scene_model DATASET RESULT ... [--picture FILE]
+
+Takes about 20 s a result, once it is there.
 
 DATASET has true velocity and a camera of role "eval"; the RESULTs are folders of `gof reconstruct` of it, with `--scene
 plates`, `--scene gaussians`, `--method paper`. Pictures' scores are those of curve.json (held-out frames; the flame's

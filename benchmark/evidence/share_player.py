@@ -1,5 +1,9 @@
 """The page of `gof share` in a real browser draws the flame of `gof.render`, asks nothing of the network, and how fast.
 
+    python -m gof_benchmark.evidence.share_player RESULT DATASET
+
+Takes about 1 min. Needs Chromium.
+
 Opened from the disk in a headless Chromium, at the exact size of the dataset's cameras.
 """
 

@@ -2,6 +2,8 @@
 
     python -m gof_benchmark.evidence.tomography DATASET...
 
+Takes about 10 s a dataset.
+
 Datasets with grids/flame.zarr. A handful of frames of each; no Gaussian is fitted. Columns: cosine and relative L2 of
 emission per voxel, extent along the middle camera's view over extent across it (result / truth), the share of light
 where the truth has less than a hundredth of its brightest, and dB of the flame, in pixels of a voxel, from cameras all

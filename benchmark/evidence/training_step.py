@@ -2,6 +2,8 @@
 
     python -m gof_benchmark.evidence.training_step DATASET [--preset standard] [--steps 40]
 
+Takes about 1 min.
+
 The first stages of `gof reconstruct DATASET`, then the same steps from the same seeds in turn, on one thread and, by
 the clock, on all. Most of a clip's Gaussians live at another time than a picture's: `gof reconstruct` leaves them out
 before it projects (`gof.reconstruct.parameters.alight`). Prints how many it draws, CPU time of a step, what the

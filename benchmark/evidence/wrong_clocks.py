@@ -1,6 +1,8 @@
 """The worth of exact frame times to a reconstruction: the same pictures, with clocks believed more and more wrongly.
 
-    python -m gof_benchmark.evidence.wrong_clocks DATASET --out out/wrong_clocks [--errors 0 0.5 1 2 4] [--json FILE]
+    python -m gof_benchmark.evidence.wrong_clocks DATASET [--out out/wrong_clocks] [--errors 0 0.5 1 2 4] [--json FILE]
+
+Takes about 10 min.
 
 DATASET is generated with the effect `clock`, so that its cameras have times of their own and they are known. Error 0
 believes them; 1 rounds them to the nearest frame, which is all that can be known without a board; e makes e times that

@@ -1,10 +1,23 @@
 """The training bundle of the authors' code (`fire-bundle-v2`) in ``fire_bundle/``: their trainer runs on our scenes.
 
 Nothing that a method may not see is in it: masks and flow of training frames come from training pictures, by our
-optical flow and the paper's fusion, never from the true velocity or the true masks. docs/formats.md has every field.
+optical flow and the paper's fusion, never from the true velocity or the true masks.
 
 Their trainer holds out frames with ``frame % test_every == 0``. So the bundle begins at the dataset's first held-out
 frame, and its frame r is the dataset's frame ``first + r``: what they score is what is held out here.
+
+    transforms.json                   format, hf_scene, name, num_frames, num_cams, held_out_every; dt: median
+                                      ms between frames; frames[]: file_path (images/RRRR_C.png), cam, frame, time (ms),
+                                      camera_angle_x (radians), transform_matrix (camera to world, OpenGL axes, m)
+    sync_mask/C.png                   255 on the LED board
+    masks/strideS/RRRR_C.png          red: board; green: flame; blue: flame grown
+    voxel_flow/grid.npz               coordinates, voxel_size, bbox: centres, size and bounds, m
+    voxel_flow/strideS/RRRR.npz       flows (X, Y, Z, 3), m per frame, NaN where unknown
+    masks/, voxel_flow/provenance.json  files: anchor, stride, sources (window_frames, video_frames), time_us,
+                                      carved_voxels
+    static_point_cloud.ply            the still scene as 3DGS, from true depth
+    mono_depth/RRRR_C.png             16 bits, inverse depth of the plate
+    window.json                       its dataset frames
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
 """A scene of the authors' public data set of fires (jna-358/fire_actioncam), which brings its own times and poses.
 
-Layout of `scenes/<id>/`, as their preprocessing reads it (docs/ingest.md has every field):
+Layout of `scenes/<id>/`, as their preprocessing reads it:
 
     000.mp4 001.mp4 002.mp4           one video per camera
     000.mask.png ...                  bright where the LED board is, of the stored picture
