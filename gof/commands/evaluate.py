@@ -97,6 +97,8 @@ def main(argv: list[str]) -> int:
             align=config.align,
             extras=Extras(config.weights, depth, dis if config.published else None, disparity, dis),
         )
+    for path in files:  # first: whoever reads what follows may leave (`| head`)
+        scores.write(path)
     out = console()
     for of in (eve_table, velocity_table, picture_table, around_table, light_table, published_table):
         if (table := of(scores)).row_count:
@@ -112,7 +114,6 @@ def main(argv: list[str]) -> int:
         out.print("note:", note, style="yellow")
     out.print("seconds: " + ", ".join(f"{name} {seconds:.1f}" for name, seconds in scores.costs.items()))
     for path in files:
-        scores.write(path)
         out.print(f"scores written to {path}")
     return 0
 

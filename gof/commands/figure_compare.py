@@ -13,6 +13,7 @@ from gof.commands.read import Inches, Results, Seconds, named, read_options
 from gof.commands.video import camera_number
 from gof.core.errors import GofError
 from gof.dataset import Dataset
+from gof.dataset.leaks import print_of_others
 from gof.evaluate.leaderboard import collect
 from gof.host.options import require_number
 from gof.host.terminal import console
@@ -20,7 +21,7 @@ from gof.look.charts import require_figure
 from gof.look.comparison import KINDS, Kind, Moment, comparison, scored_subject, subject
 from gof.look.panels import Subject
 from gof.look.paper import WIDTH_IN, write_sheet
-from gof.look.player.opened import dataset_beside, open_moving
+from gof.look.player.opened import dataset_beside, newest, open_moving
 from gof.look.tiles import Box, facts
 
 MOST_PARTS = 4
@@ -80,6 +81,7 @@ def main(argv: list[str]) -> int:
     dataset = Dataset.open(folder)
     moment = Moment.near(dataset, camera_number(config.camera, dataset), config.time)
     parts = count if count is not None else [_box(words, moment) for words in config.parts]
+    print_of_others((newest(path) for _, path in asked), dataset)
     subjects = [_subject(path, name, moment) for name, path in asked]
     rows = comparison(subjects, moment, parts, config.show)
     out = console()

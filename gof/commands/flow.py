@@ -13,6 +13,7 @@ from gof.commands.everywhere import beside, require_free, write_figures
 from gof.commands.read import read_options
 from gof.core.errors import GofError
 from gof.dataset import Dataset
+from gof.dataset.leaks import print_of_others
 from gof.evaluate.flow import CameraFrames, FlowScores, score_views, views
 from gof.host.terminal import console, progress_bar
 from gof.look.flow import FlowFile, write_views
@@ -69,6 +70,7 @@ def main(argv: list[str]) -> int:
     out_folder = config.out or beside(newest(config.result), "flow")
     require_free(out_folder)
     result = open_moving(config.result)
+    print_of_others([result.path], dataset)
     gaussians = result.gaussians.measured_from(dataset.datum)
     with progress_bar("flow") as progress:
         longest = write_views(gaussians, chosen, out_folder, config.files, progress)

@@ -77,8 +77,8 @@ def main(argv: list[str]) -> int:
     if config.out is not None:
         require_free(config.out / "leaderboard.json")
     folder = config.out or require_writable(config.folders[0].absolute().parent) / "leaderboard"
-    rows = rows_of(results)
     dataset = Dataset.open(config.dataset) if config.dataset else None
+    rows = rows_of(results, None if dataset is None else dataset.scored_as())
     streams = stream_plots(results, dataset, config.time) if dataset else []
     charts = [
         (chart, folder / f"accuracy_{key}.{kind}")
@@ -103,6 +103,9 @@ def main(argv: list[str]) -> int:
         if result.scores.images is not None and not result.scores.images.count:
             note = f"note: no scores of pictures of {result.name}: its dataset holds no frame out"
             out.print(note, style="yellow")
+    for row in rows:
+        if row.other_footage and row.notes:
+            out.print(f"note: {row.name}: {row.notes[0]}", style="yellow")
     for stream in streams:
         if stream.reason:
             note = f"note: no stream plot of {stream.name}: {stream.reason}"

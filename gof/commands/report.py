@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import sys
 from dataclasses import dataclass
+from filecmp import cmp
 from pathlib import Path
 from typing import Annotated
 
@@ -13,6 +14,7 @@ from gof.commands.everywhere import write_figures
 from gof.commands.read import read_options
 from gof.commands.video import camera_number
 from gof.core.costs import StageCost, StageLog
+from gof.core.errors import GofError
 from gof.dataset import Dataset
 from gof.evaluate.leaderboard import EvaluatedResult, about
 from gof.evaluate.scores import Scores
@@ -21,6 +23,7 @@ from gof.look.animation import brightest_frame
 from gof.look.charts import Kind, frame_chart, require_figure
 from gof.look.comparison import fire_removal
 from gof.look.pages import page_pictures
+from gof.look.player.opened import newest
 from gof.look.report import Preview, build_report
 
 
@@ -40,7 +43,8 @@ class ReportConfig:
     dataset: Path | None = None
     """Dataset folder; default OUT/dataset."""
     result: Path | None = None
-    """Result file; default OUT/result.npz, or OUT/reconstruct/result.npz."""
+    """Result that was scored, a file or its folder; default OUT/result.npz, OUT/reconstruct/result.npz, or what
+    scores.json names."""
     camera: str | None = None
     """Name of the camera of the animation; default the middle one."""
     figure: tuple[Kind, ...] = ()
@@ -54,7 +58,8 @@ def main(argv: list[str]) -> int:
     scores = Scores.read(out / "scores.json")
     dataset = Dataset.open(config.dataset or out / "dataset")
     camera = None if config.camera is None else camera_number(_renamed(config.camera, dataset), dataset)
-    result = config.result or _result_in(out)
+    result = newest(config.result) if config.result else _result_in(out, scores)
+    _require_scored(result, scores)
     preview = Preview.read(out / "preview.json") if (out / "preview.json").exists() else None
     charts = [out / "pictures" / f"l2.{kind}" for kind in config.figure]
     require_figure(*charts)
@@ -93,9 +98,23 @@ def _renamed(camera: str, dataset: Dataset) -> str:
     return new
 
 
-def _result_in(out: Path) -> Path:
+def _result_in(out: Path, scores: Scores) -> Path:
     first, second = out / "result.npz", out / "reconstruct" / "result.npz"
-    return second if second.exists() and not first.exists() else first
+    scored = Path(scores.import_.path) if scores.import_.path else first
+    return next((path for path in (first, second, scored) if path.exists()), first)
+
+
+def _require_scored(result: Path, scores: Scores) -> None:
+    """Raise GofError where the result is not the one that was scored: a page shows one result."""
+    if not result.is_file():
+        raise GofError(f"{result}: no result of `gof reconstruct`; name the one that was scored with --result")
+    scored = Path(scores.import_.path) if scores.import_.path else result
+    same = not (scored.is_file() and result.is_file()) or scored.samefile(result) or cmp(scored, result, shallow=False)
+    if not same:
+        raise GofError(
+            f"the scores are those of {scored}, and the pictures would be of {result}: leave out --result, or evaluate "
+            f"that one first, gof evaluate {result} --dataset DATASET --out FOLDER"
+        )
 
 
 def _stages(folders: list[Path]) -> list[StageCost]:

@@ -9,6 +9,7 @@ from pathlib import Path
 from gof.commands.everywhere import beside, require_free, write_figures
 from gof.commands.read import Megabytes, Results, named, read_options
 from gof.dataset import Dataset
+from gof.dataset.leaks import print_of_others
 from gof.host.options import require_number
 from gof.host.terminal import console, progress_bar
 from gof.look.player.opened import dataset_beside, open_result
@@ -56,6 +57,7 @@ def main(argv: list[str]) -> int:
     first = asked[0][1]
     folder = config.dataset or dataset_beside(first)
     dataset = None if folder is None else Dataset.open(folder)
+    print_of_others((result.path for result in results), dataset)
     out = config.out or beside(first, "share.html")
     with progress_bar("share") as progress:
         made = share_page(results, out, dataset, config.title, config.pictures, progress)

@@ -16,6 +16,7 @@ from gof.core.files import digest, read_json
 from gof.core.gaussians import TransientGaussians
 from gof.core.records import convert_json
 from gof.dataset import Dataset
+from gof.dataset.leaks import print_of_others
 from gof.dataset.plates import background
 from gof.evaluate.scoring import is_flame_alone
 from gof.host.options import require_number, require_positive
@@ -150,6 +151,7 @@ def main(argv: list[str]) -> int:
     first = named(config.results)[0][1]
     folder = config.dataset or dataset_beside(first)
     dataset = None if folder is None else Dataset.open(folder)
+    print_of_others((result.path for result in results), dataset)
     out = config.out or beside(first, "film.webm")
     span = _span(results, dataset)
     stop = (span[0] + span[1]) / 2 if style.stop is None else style.stop

@@ -130,11 +130,21 @@ class Dataset:
         Args:
             others: names of more files in it that matter.
         """
-        frames = range(len(self.times_s))
-        seen = replace(self.description, cameras=tuple(c for c in self.description.cameras if c.role != "around"))
+        frames, seen = range(len(self.times_s)), self._given()
         names = {entry.file_name(kind, frame) for entry in seen.cameras for kind in SEEN for frame in frames}
-        files = stamp(self.path, {*filter(None, names), *others})
-        about = to_json(seen)
+        return self._digest(stamp(self.path, {*filter(None, names), *others}))
+
+    def scored_as(self) -> str:
+        """Return the dataset's name, and digits that change with its description alone: scores keep them, so that
+        those of other footage, frames or splits are told apart on any machine. A copy has the same."""
+        return self._digest("")
+
+    def _given(self) -> DatasetDescription:
+        """Return the description without views that are only scored."""
+        return replace(self.description, cameras=tuple(c for c in self.description.cameras if c.role != "around"))
+
+    def _digest(self, files: str) -> str:
+        about = to_json(self._given())
         for entry in about["cameras"]:
             if entry["frames"] is None:  # as it was before there was such a field
                 del entry["frames"]

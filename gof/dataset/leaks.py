@@ -7,16 +7,19 @@ changed afterwards, by hand or by mistake, is noticed.
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import ClassVar
 
 from gof.core.errors import DataFormatError
+from gof.core.files import read_json
 from gof.core.records import read_record, write_record
 from gof.dataset.dataset import Dataset
 
 FILE = "made_from.json"
+SETTINGS, SETTINGS_SCHEMA = "settings.json", "gof-reconstruction-settings"  # of gof.reconstruct.settings
 PLATES_OF_A_CLIP = ("steady", "minimum")  # provenance.plate of datasets that were made from videos
 
 
@@ -50,6 +53,28 @@ class MadeFrom:
     def write(self, folder: Path) -> None:
         """Write `folder/made_from.json`."""
         write_record(folder / FILE, self)
+
+
+def warn_of_another(result: Path, dataset: Dataset) -> str | None:
+    """Return a warning where a result of `gof reconstruct`, a file or its folder, was made of another dataset."""
+    settings = (result if result.is_dir() else result.parent) / SETTINGS
+    about = read_json(settings) if settings.is_file() else None
+    if not isinstance(about, dict) or about.get("schema") != SETTINGS_SCHEMA:  # other methods have a settings.json, too
+        return None
+    made_of = about.get("dataset")
+    if not isinstance(made_of, str) or made_of == dataset.identity():
+        return None
+    return (
+        f"{result} was made of the dataset '{made_of}', and {dataset.path} is '{dataset.identity()}': either a copy "
+        "of it with other times of change, or ANOTHER FIRE"
+    )
+
+
+def print_of_others(results: Iterable[Path], dataset: Dataset | None) -> None:
+    """Print a warning for each result that was made of another dataset than it is shown with."""
+    for result in results:
+        if dataset is not None and (warning := warn_of_another(result, dataset)):
+            print(f"warning: {warning}", file=sys.stderr)
 
 
 def leaks(files: Mapping[str, Iterable[int]], held_out: Iterable[int]) -> dict[str, list[int]]:

@@ -247,6 +247,7 @@ def collect(folders: Sequence[Path]) -> list[EvaluatedResult]:
     """
     results = []
     for folder in folders:
+        folder = folder.parent if folder.name == "scores.json" else folder
         if not (folder / "scores.json").is_file():
             raise DataFormatError(
                 f"{folder}: no scores.json; run 'gof evaluate RESULT --dataset DATASET --out {folder}' first"
@@ -270,22 +271,34 @@ def _training(folder: Path, scores: Scores) -> tuple[StageCost, ...]:
     return ()
 
 
-def rows_of(results: Sequence[EvaluatedResult]) -> list[LeaderboardRow]:
+def rows_of(results: Sequence[EvaluatedResult], dataset: str | None = None) -> list[LeaderboardRow]:
     """Return one row per result, what the authors published if a result has their figures, then the trivial baselines
     of a single one.
 
     A trivial baseline is worth something on one result's Gaussians alone: beside several, each row has the best of its
-    own.
+    own. A result that was scored on another dataset does not compete, and says so.
+
+    Args:
+        dataset: on which the results are compared (`Dataset.scored_as`); default: that of most of them.
     """
+    known = [result.scores.dataset for result in results if result.scores.dataset]
+    dataset = dataset or max(known, key=known.count, default=None)
+    others = [result.scores.dataset not in (None, dataset) for result in results]
     rows = [
         LeaderboardRow(
             name=result.name,
             method=result.scores.import_.method,
             unfinished=result.unfinished,
-            notes=(*result.notes, *result.scores.import_.notes, *result.scores.warnings),
+            other_footage=other,
+            notes=(
+                *([f"scored on another dataset, {result.scores.dataset}: it does not compete"] if other else []),
+                *result.notes,
+                *result.scores.import_.notes,
+                *result.scores.warnings,
+            ),
             **_figures(result, COLUMNS),
         )
-        for result in results
+        for result, other in zip(results, others, strict=True)
     ]
     if any(result.scores.published is not None for result in results):
         rows.append(_authors_row())

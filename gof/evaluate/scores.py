@@ -313,6 +313,7 @@ class Scores(PictureFigures):
     Attributes:
         gaussians, dynamic_gaussians: how many there are.
         import_: where the result came from.
+        dataset: what it was scored on, see `Dataset.scored_as`; None in files of before 0.3.
         flow_prior: whether a learned flow prior had a part in it; None where the result does not say.
         warnings: hints that something is in other units or another world, or missing.
         dve: None when the dataset has no true velocity.
@@ -332,6 +333,7 @@ class Scores(PictureFigures):
     gaussians: int
     dynamic_gaussians: int
     import_: Origin
+    dataset: str | None = None
     flow_prior: bool | None = None
     warnings: tuple[str, ...] = ()
     dve: VelocityScore | None = None

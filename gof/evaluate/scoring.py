@@ -14,7 +14,7 @@ from gof.core.errors import DataFormatError
 from gof.core.fields import VelocitySequence
 from gof.core.gaussians import MovingGaussians, TransientGaussians
 from gof.dataset import Dataset
-from gof.dataset.leaks import MadeFrom, leaks
+from gof.dataset.leaks import MadeFrom, leaks, warn_of_another
 from gof.dataset.plates import own_plate
 from gof.evaluate.around import ViewAround, angles_deg, score_around
 from gof.evaluate.dve_frame import DVESequence, Opacity
@@ -40,7 +40,7 @@ from gof.evaluate.sequence import dve_sequence, sanity_warnings
 from gof.evaluate.settled import against_motion, settle
 from gof.evaluate.sparse_grid import StoredFields
 from gof.evaluate.trivial_baselines import TRIVIAL_BASELINES, skill
-from gof.io.importers import ImportOptions, read_result
+from gof.io.importers import Imported, ImportOptions, read_result
 from gof.io.importers.alignment import align_cameras, read_cameras, require_same_world
 from gof.io.importers.sidecar import in_words, with_sidecar
 
@@ -50,7 +50,7 @@ OURS = ("gof", "memory")  # methods whose results without static Gaussians are k
 
 
 def evaluate(
-    result: Path | str | MovingGaussians,
+    result: Path | str | Imported | MovingGaussians,
     dataset: Dataset | Path | str,
     order: int = 3,
     opacity: Opacity = "temporal",
@@ -70,8 +70,8 @@ def evaluate(
     a true velocity field.
 
     Args:
-        result: file or folder of any known method (gof.io.importers), or the Gaussians. In memory,
-            `TransientGaussians` count as ours, trajectories and functions of time do not.
+        result: file or folder of any known method (gof.io.importers), as `read_result` returned it, or the Gaussians.
+            In memory, `TransientGaussians` count as ours, trajectories and functions of time do not.
         dataset: what it was made from, opened or its folder.
         order, opacity: of `dve`.
         images: also render and score pictures.
@@ -93,7 +93,7 @@ def evaluate(
         gaussians, origin = _load(result, dataset, foreign or ImportOptions(), align)
     known = known_frames(gaussians, dataset)
     warnings = _partly(gaussians, known, dataset.test_frames)
-    own = result if isinstance(result, Path) else None
+    own = result if isinstance(result, Path) else result.path if isinstance(result, Imported) else None
     made_from = None if own is None else MadeFrom.read(own if own.is_dir() else own.parent)
     figures: dict[str, Any] = {}
     if dataset.has_velocity:
@@ -102,6 +102,8 @@ def evaluate(
     else:
         warnings.append("the dataset has no true velocity field, so there is no DVE")
     warnings += _leak_warnings(made_from, dataset.test_frames)
+    if own is not None and (other := warn_of_another(own, dataset)):
+        warnings.append(other)
     if images:
         flame_only = flame_only or (own is not None and with_sidecar(own, ImportOptions())[0].flame_only)
         origin = _drawn_as(origin, gaussians, flame_only)
@@ -118,6 +120,7 @@ def evaluate(
         gaussians=len(gaussians),
         dynamic_gaussians=int(np.count_nonzero(gaussians.dynamic)),
         import_=origin,
+        dataset=dataset.scored_as(),
         flow_prior=None if made_from is None else "flow_prior" in made_from.learned,
         warnings=tuple(warnings),
         costs={name: round(seconds, 3) for name, seconds in costs.items()},
@@ -177,7 +180,7 @@ def _drawn_as(origin: Origin, gaussians: MovingGaussians, flame_only: bool) -> O
 
 
 def _load(
-    result: Path | MovingGaussians, dataset: Dataset, foreign: ImportOptions, align: Path | None
+    result: Path | Imported | MovingGaussians, dataset: Dataset, foreign: ImportOptions, align: Path | None
 ) -> tuple[MovingGaussians, Origin]:
     if isinstance(result, Path):
         foreign, sidecar = with_sidecar(result, foreign)
@@ -193,6 +196,9 @@ def _load(
             ours = {c.name: c.world_to_camera for c in dataset.cameras}
             notes.append(require_same_world(read_cameras(options.world), ours, options.world))
         origin = Origin(imported.method, tuple(notes), str(imported.path), UsedOptions.of(options))
+    elif isinstance(result, Imported):
+        gaussians = result.gaussians.measured_from(dataset.datum)
+        origin = Origin(result.method, tuple(result.notes), str(result.path))
     else:
         gaussians = result.measured_from(dataset.datum)
         origin = Origin("memory" if isinstance(gaussians, TransientGaussians) else "trajectory")
