@@ -201,10 +201,11 @@ def run_stages(config: DemoConfig) -> None:
 def expected_s(config: DemoConfig, machine: MachineLoad) -> dict[str, float]:
     """Return seconds of the clock that each stage that is not finished should take, by its name."""
     spec, frames = spec_of(config), round(7 / 8 * spec_of(config).clip.frames)
-    effort = effort_of("preview", config.steps, config.gaussians)
+    cameras = len(spec.cameras.whole_clip)
+    effort = effort_of("preview", config.steps, config.gaussians, clip=(frames, cameras))
     pixels = math.prod(spec.picture_px)
     each_ms = step_ms(effort.gaussians, frames, round(WINDOW * pixels), native=True, held=True)
-    parts = seeing_s(frames, frames * len(spec.cameras.whole_clip) * pixels, effort.voxels)
+    parts = seeing_s(frames, frames * cameras * pixels, effort.voxels)
     parts |= {"optimise": effort.iterations * each_ms / 1e3, "rest": REST_S}
     paces = Paces.known()
     seconds = {"generate": predict_here(spec, machine).total_s}

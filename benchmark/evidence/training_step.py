@@ -26,7 +26,7 @@ import tyro
 from gof.commands.read import Preset
 from gof.core.files import write_json
 from gof.dataset import Dataset
-from gof.reconstruct.presets import effort_of
+from gof.reconstruct.presets import effort_of, size_of
 from gof.reconstruct.settings import ReconstructionSettings
 from gof_benchmark.evidence.render_kernels import drawn_by
 
@@ -64,7 +64,7 @@ def main(argv: list[str] | None = None) -> None:
     from gof.reconstruct.pipeline import reconstruct
 
     dataset = Dataset.open(config.dataset)
-    effort = effort_of(config.preset, gaussians=config.gaussians, max_size=config.longest_side)
+    effort = effort_of(config.preset, gaussians=config.gaussians, max_size=config.longest_side, clip=size_of(dataset))
     settings = ReconstructionSettings.of(dataset, effort)
     figures: dict[str, Any] = {}
 

@@ -46,7 +46,7 @@ def main(argv: list[str]) -> int:
     """`gof study ablations DATASET`; see --help."""
     study = read_options(AblationStudy, "study ablations", argv)
     dataset = Dataset.open(study.dataset)
-    base = study.settings()
+    base = study.settings(dataset)
     variants = _variants(study.method)
     rows = [run_one(study, dataset, f"{v['method']}-{v['ablation']}", base | v) for v in variants.values()]
     title = f"{dataset.description.name}: " + ", ".join(f"{key} {value}" for key, value in base.items())

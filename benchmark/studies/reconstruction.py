@@ -10,7 +10,7 @@ import numpy as np
 from gof.commands.read import read_options
 from gof.dataset import Dataset
 from gof.look.charts import Point, line_chart
-from gof.reconstruct.presets import PRESETS, effort_of
+from gof.reconstruct.presets import PRESETS, effort_of, size_of
 from gof_benchmark.studies.variants import Row, Setting, VariantStudy, run_one, table, write_page
 
 FACTORS = (0.25, 0.5, 1, 2)  # of the preset's steps, Gaussians and picture size
@@ -116,10 +116,11 @@ def mean_row(rows: list[Row]) -> Row:
 def series(study: VariantStudy, dataset: Dataset) -> Series:
     """Return settings by what is varied and by the run's name; no picture is made larger than it is."""
     largest = max(max(camera.width, camera.height) for camera in dataset.cameras)
-    base = study.settings()
+    base = study.settings(dataset)
     base["longest_side"] = min(base["longest_side"], largest)
-    most = effort_of(study.preset).iterations
-    found: Series = {"presets": {name: asdict(e) for name, e in PRESETS.items() if e.iterations <= most}}
+    efforts = {name: effort_of(name, clip=size_of(dataset)) for name in PRESETS}
+    most = effort_of(study.preset, clip=size_of(dataset)).iterations
+    found: Series = {"presets": {name: asdict(e) for name, e in efforts.items() if e.iterations <= most}}
     for group, key in VARIED.items():
         values = [round(base[key] * factor) for factor in (VOXELS if key == "voxels" else FACTORS)]
         found[group] = {f"{group}-{v}": base | {key: v} for v in values if key != "longest_side" or v <= largest}

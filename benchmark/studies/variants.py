@@ -18,7 +18,7 @@ from gof.evaluate import evaluate
 from gof.host.processes import python_command
 from gof.host.worker import run_worker
 from gof.reconstruct.curve import Curve
-from gof.reconstruct.presets import FLAGS, effort_of
+from gof.reconstruct.presets import FLAGS, effort_of, size_of
 
 Setting = int | str | bool
 Row = dict[str, Any]
@@ -43,10 +43,10 @@ class VariantStudy:
     max_size: Pixels | None = None
     """Instead of the preset's."""
 
-    def settings(self) -> dict[str, int]:
-        """Return the settings of every reconstruction, before something is varied: options of `gof reconstruct` by
-        name."""
-        preset = effort_of(self.preset)
+    def settings(self, dataset: Dataset) -> dict[str, int]:
+        """Return the settings of every reconstruction of a dataset, before something is varied: options of
+        `gof reconstruct` by name."""
+        preset = effort_of(self.preset, clip=size_of(dataset))
         given = {"iterations": self.steps, "gaussians": self.gaussians, "longest_side": self.max_size}
         return asdict(preset) | {name: value for name, value in given.items() if value is not None}
 

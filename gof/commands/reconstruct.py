@@ -46,7 +46,8 @@ class ReconstructConfig:
     """Folder for the result; a half-finished reconstruction there is resumed. Default: beside the dataset,
     DATASET_flame. Several datasets have folders of their names in it."""
     preset: Preset = "preview"
-    """Amount of work: sets --steps, --gaussians, --voxels and --max-size, which can also be set one by one."""
+    """Amount of work: sets --steps, --gaussians, --voxels and --max-size, which can also be set one by one. A clip of
+    more than 50 frames gets more steps and Gaussians."""
     steps: int | None = None
     """Optimisation steps, one training picture each."""
     gaussians: int | None = None

@@ -33,7 +33,7 @@ def reconstruct(
     Args:
         dataset: an opened dataset, or its folder.
         out: folder of the reconstruction.
-        preset: how much work, see `gof.reconstruct.presets.PRESETS`; the next four replace one of its figures each.
+        preset: how much work, see `gof.reconstruct.presets`; the next four replace one of its figures each.
         steps: of the optimisation, one training picture each.
         gaussians: in all frames together.
         voxels: along the longest side of the flame's box.
@@ -51,11 +51,11 @@ def reconstruct(
     """
     from gof.dataset import Dataset  # late: importing a room of this package stays cheap
     from gof.reconstruct.pipeline import reconstruct as run
-    from gof.reconstruct.presets import effort_of
+    from gof.reconstruct.presets import effort_of, size_of
     from gof.reconstruct.settings import ReconstructionSettings
 
-    effort = effort_of(preset, steps, gaussians, voxels, max_size)
     opened = dataset if isinstance(dataset, Dataset) else Dataset.open(dataset)
+    effort = effort_of(preset, steps, gaussians, voxels, max_size, clip=size_of(opened))
     settings = ReconstructionSettings.of(opened, effort, flow_weights, **choices)
     return run(opened, settings, Path(out), until, flow_weights, anyway)
 

@@ -1,11 +1,19 @@
-"""Presets: the amount of work of a reconstruction, and its time."""
+"""Presets: the amount of work of a reconstruction, and its time.
+
+A preset's figures are enough for a clip of 50 frames and three cameras. A longer clip has more to learn, and gets more:
+so many steps for each picture and Gaussians for each frame as keep it as good (notebook/choices.md).
+"""
 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
 
 from gof.core.errors import GofError
 from gof.core.ladder import preset
+
+if TYPE_CHECKING:
+    from gof.dataset import Dataset
 
 LEAST = {"iterations": 1, "gaussians": 1, "voxels": 4, "longest_side": 16}
 # The options of commands that give them.
@@ -44,6 +52,9 @@ PRESETS: dict[str, Effort] = {
     "large": Effort(8000, 200_000, 112, 960),
     "full": Effort(30_000, 300_000, 128, 1280),  # the paper's steps and picture size; Gaussians and voxels are ours
 }
+TRIAL = "toy"  # whose figures are the same for every clip: it is for trying whether something works
+LEAST_PER_PICTURE = 15  # steps
+LEAST_PER_FRAME = 1360  # Gaussians
 FORMER = {"draft": Effort(10_000, 100_000, 72, 320)}  # for one version
 
 
@@ -53,14 +64,32 @@ def effort_of(
     gaussians: int | None = None,
     voxels: int | None = None,
     max_size: int | None = None,
+    *,
+    clip: tuple[int, int] = (0, 0),
 ) -> Effort:
-    """Return the settings of a preset, with those figures replaced that are given.
+    """Return the settings of a preset for a clip, with those figures replaced that are given.
 
+    Args:
+        clip: how many frames there are to learn from, and cameras.
     Raises:
         GofError: there is no preset of that name, or a figure is below its least.
     """
     given = {"iterations": steps, "gaussians": gaussians, "voxels": voxels, "longest_side": max_size}
-    return replace(preset(name, PRESETS, FORMER), **{key: value for key, value in given.items() if value is not None})
+    effort = preset(name, PRESETS, FORMER)
+    if name != TRIAL:
+        frames, cameras = clip
+        steps_for_all, gaussians_for_all = LEAST_PER_PICTURE * frames * cameras, LEAST_PER_FRAME * frames
+        effort = replace(
+            effort,
+            iterations=max(effort.iterations, steps_for_all),
+            gaussians=max(effort.gaussians, gaussians_for_all),
+        )
+    return replace(effort, **{key: value for key, value in given.items() if value is not None})
+
+
+def size_of(dataset: Dataset) -> tuple[int, int]:
+    """Return how many frames of a clip there are to learn from, and cameras: `clip` of `effort_of`."""
+    return len(dataset.train_frames), len(dataset.cameras)
 
 
 STILL_STEPS = 1 / 3  # of the flame's: the paper's 10 000 and 30 000

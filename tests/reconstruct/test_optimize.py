@@ -283,6 +283,20 @@ def test_presets_fill_what_is_not_given():
     assert asdict(effort_of("standard", steps=7)) == asdict(PRESETS["standard"]) | {"iterations": 7}
 
 
+def test_a_long_clip_gets_as_much_for_each_picture_as_a_short_one():
+    """The demo and the benchmark's fires (at most 50 frames, three cameras) have the preset's own figures."""
+    for clip in ((32, 3), (44, 3), (14, 3), (44, 1)):
+        assert effort_of("preview", clip=clip) == PRESETS["preview"]
+    filmed, long = effort_of("preview", clip=(88, 3)), effort_of("preview", clip=(880, 3))
+    assert 1.9 < filmed.iterations / PRESETS["preview"].iterations < 2.1
+    assert 1.9 < filmed.gaussians / PRESETS["preview"].gaussians < 2.1
+    assert (long.iterations, long.gaussians) == (10 * filmed.iterations, 10 * filmed.gaussians)
+    assert (long.voxels, long.longest_side) == (filmed.voxels, filmed.longest_side)
+    assert effort_of("standard", clip=(88, 3)) == PRESETS["standard"], "six thousand steps are enough for 264 pictures"
+    assert effort_of("preview", steps=300, clip=(880, 3)).iterations == 300, "a given figure holds"
+    assert effort_of("toy", clip=(880, 3)) == PRESETS["toy"]
+
+
 def does_at_least_as_much(more: Effort, less: Effort) -> bool:
     return all(a >= b for a, b in zip(astuple(more), astuple(less), strict=True))
 
