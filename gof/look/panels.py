@@ -157,11 +157,24 @@ def label(panel: np.ndarray, title: str, kind: str, scales: Scales) -> np.ndarra
 
 
 def stamp(page: np.ndarray, text: str) -> np.ndarray:
-    """Return a word in the lower left corner."""
+    """Return the page with words in the lower left corner, in as many lines as its width asks for."""
     image = Image.fromarray(page)
     size = int(np.clip(page.shape[0] / 28, 9, 28))
-    _write(image, (size // 2, page.shape[0] - size // 2), text, size, "ld")
+    lines = _lines_within(text, page.shape[1] - size, size)
+    _write(image, (size // 2, page.shape[0] - size // 2), "\n".join(lines), size, "ld")
     return np.asarray(image)
+
+
+def _lines_within(text: str, width: int, size: int) -> list[str]:
+    """Return a text's words in lines of at most `width` px; a word that is wider has a line of its own."""
+    font, lines = ImageFont.load_default(size), [""]
+    for word in text.split():
+        longer = f"{lines[-1]} {word}".strip()
+        if lines[-1] and font.getlength(longer) > width:
+            lines.append(word)
+        else:
+            lines[-1] = longer
+    return lines
 
 
 def _write(image: Image.Image, place: tuple[int, int], text: str, size: int, anchor: str = "la") -> None:

@@ -14,7 +14,7 @@ from gof.core.gaussians import TransientGaussians
 from gof.core.trajectory import Trajectory
 from gof.evaluate.screen_motion import sideways_velocity
 from gof.look.film import FilmOptions, make_film
-from gof.look.panels import Scales, Subject, depth_colours, draw_panel, error_colours, measure_scales, picture
+from gof.look.panels import Scales, Subject, depth_colours, draw_panel, error_colours, measure_scales, picture, stamp
 from gof.look.path import Shot, orbit, shots
 from gof.render import render
 from tests.conftest import arc, look_at, write_dataset
@@ -154,6 +154,16 @@ def test_the_films_frames_are_those_of_the_renderer(tmp_path, suffix, least):
         assert psnr(frame[clear, :96], drawn[clear]) > least
     assert psnr(frames[0][clear, :96], frames[3][clear, :96]) < 30, "another frame is another picture"
     assert not list(tmp_path.glob("*.frames"))
+
+
+@pytest.mark.parametrize("width", [120, 200, 2000])
+def test_words_on_a_narrow_film_are_not_cut_off(width):
+    """Nothing is written within half a letter of the right edge; a narrow page has more lines."""
+    words = "123.7 ms, 115\N{DEGREE SIGN} from the nearest camera: a guess"
+    written = stamp(np.full((355, width, 3), 90, np.uint8), words) != 90
+    rows = np.flatnonzero(written.any((1, 2)))
+    assert written.any() and not written[:, -4:].any()
+    assert (355 - rows.min() < 40) == (width == 2000)
 
 
 def test_a_stopped_film_goes_on_and_is_the_same(tmp_path):
