@@ -163,7 +163,7 @@ def test_words_on_a_narrow_film_are_not_cut_off(width):
     written = stamp(np.full((355, width, 3), 90, np.uint8), words) != 90
     rows = np.flatnonzero(written.any((1, 2)))
     assert written.any() and not written[:, -4:].any()
-    assert (355 - rows.min() < 40) == (width == 2000)
+    assert (355 - rows.min() < 28) == (width == 2000)
 
 
 def test_a_stopped_film_goes_on_and_is_the_same(tmp_path):
