@@ -48,6 +48,8 @@ class DemoConfig:
     where it was.
     """
 
+    FIGURES: ClassVar = (Scores,)
+
     out: Path = Path("out/demo")
     """Folder for everything the demo makes."""
     scene: str = "demo"

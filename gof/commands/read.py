@@ -41,6 +41,7 @@ def read_options(config: type[C], command: str, argv: Sequence[str]) -> C:
         argv = _with_value(argv, option, word)
     found = tyro.cli(config, prog=f"gof {command}", args=argv)
     _require_something(config, command, found)
+    everywhere.require_figures_replaceable(kind.SCHEMA for kind in getattr(config, "FIGURES", ()))
     return found
 
 
