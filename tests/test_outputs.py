@@ -10,6 +10,9 @@ import threading
 import pytest
 
 from gof.commands.cli import main
+from gof.commands.completion import leaves
+from gof.commands.declared import config_of, options_of
+from gof.commands.read import FOLDERS
 from gof.core.files import atomic_path, write_json
 from gof.host.processes import python_command
 from tests.conftest import random_gaussians
@@ -154,6 +157,38 @@ def test_figures_in_a_file_for_a_folder_are_refused_before_the_work(result, caps
     assert main(["share", result, "--out", "z.html", "--json", "result.npz/x.json"]) == 1
     assert "result.npz is a file, where a folder is needed" in capsys.readouterr().err
     assert not os.path.exists("z.html")
+
+
+def test_every_out_is_of_a_folder_or_of_files():
+    """By the beginning of its text, a file in the place of a folder is refused before the work."""
+    files = ("File to write", "Files to write", "File or folder", "JSON file", "Film to write", "The .blend")
+    begins = {
+        command: option.text
+        for command, module in leaves().items()
+        for option in options_of(config_of(module))
+        if option.field == "out"
+    }
+    assert len(begins) > 15
+    for command, text in begins.items():
+        assert text.startswith((*FOLDERS, *files)), f"{command}: {text}"
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        "evaluate result.npz --dataset nothing",
+        "leaderboard nothing",
+        "background nothing",
+        "ingest a.mp4",
+        "unpack a.tar",
+        "reconstruct nothing",
+        "depth nothing",
+    ],
+)
+def test_a_file_for_a_folder_is_refused_before_the_work(words, result, capsys):
+    for out in ("result.npz", "result.npz/deeper"):
+        assert main([*words.split(), "--out", out]) == 1
+        assert "--out: result.npz is a file, where a folder is needed" in capsys.readouterr().err
 
 
 def test_a_blend_goes_to_no_device(result, tiny_dataset, tmp_path, capsys):

@@ -22,6 +22,9 @@ from gof.core.ladder import METAVAR
 
 C = TypeVar("C")
 
+# How the text of --out begins, where it is of a folder; else it is of files.
+FOLDERS = ("Folder", "Dataset folder")
+
 
 def read_options(config: type[C], command: str, argv: Sequence[str]) -> C:
     """Return the options of a command, as an object of its config class.
@@ -41,6 +44,7 @@ def read_options(config: type[C], command: str, argv: Sequence[str]) -> C:
         argv = _with_value(argv, option, word)
     found = tyro.cli(config, prog=f"gof {command}", args=argv)
     _require_something(config, command, found)
+    _require_places(config, found)
     everywhere.require_figures_replaceable(kind.SCHEMA for kind in getattr(config, "FIGURES", ()))
     return found
 
@@ -52,6 +56,16 @@ def _require_something(config: type, command: str, found: object) -> None:
             _, _, examples = parts_of_docstring(inspect.getdoc(config) or "")
             example = "; for example: " + re.split(r"\s{2,}", examples[0])[0] if examples else ""
             raise GofError(f"name {option.name}{example}")
+
+
+def _require_places(config: type, found: object) -> None:
+    """Raise GofError where the folder of --out, or of the files that it names, is a file: now, and not after the
+    work."""
+    for option in options_of(config):
+        if option.field == "out" and (out := vars(found)["out"]):
+            for path in [out] if isinstance(out, Path) else out:
+                folder = path if option.text.startswith(FOLDERS) else path.absolute().parent
+                everywhere.require_folder(folder, option.name)
 
 
 def _with_value(argv: list[str], option: str, word: str) -> list[str]:
