@@ -46,14 +46,15 @@ def reconstruct(
         The reconstruction: `.path` of result.npz, `.count` of Gaussians, costs of the stages and held-out scores; None
         when stopped before the result.
     Raises:
-        GofError: an unknown preset, or see `gof.reconstruct.pipeline.reconstruct`.
+        GofError: an unknown preset, choice or stage, or see `gof.reconstruct.pipeline.reconstruct`.
         TypeError: a choice has an unknown name.
     """
     from gof.dataset import Dataset  # late: importing a room of this package stays cheap
     from gof.reconstruct.pipeline import reconstruct as run
     from gof.reconstruct.presets import effort_of
-    from gof.reconstruct.settings import ReconstructionSettings
+    from gof.reconstruct.settings import ReconstructionSettings, require_stage
 
+    require_stage(until)
     effort = effort_of(preset, steps, gaussians, voxels, max_size)
     opened = dataset if isinstance(dataset, Dataset) else Dataset.open(dataset)
     settings = ReconstructionSettings.of(opened, effort, flow_weights, **choices)

@@ -23,6 +23,7 @@ from gof.dataset import Dataset
 from gof.dataset.leaks import refuse_leaks
 from gof.dataset.poses import FILE as POSES
 from gof.dataset.poses import Poses
+from gof.host.options import require_whole
 from gof.host.terminal import progress_bar
 from gof.ingest import depth as depth_maps
 from gof.ingest.stereo import stereo_depth
@@ -57,8 +58,8 @@ class BackgroundOptions:
 
     def __post_init__(self):
         for name, option, least in LEAST:
-            if getattr(self, name) < least:
-                raise GofError(f"{option} {getattr(self, name)}: must be {least} or more")
+            require_whole(option, getattr(self, name), least)
+        require_whole("seed", self.seed, 0)
 
 
 @dataclass(frozen=True)

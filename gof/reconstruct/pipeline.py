@@ -24,7 +24,7 @@ from gof.reconstruct.methods import METHODS, Method
 from gof.reconstruct.optical_flow import flow_method
 from gof.reconstruct.presets import REST_S, seeing_s, step_ms
 from gof.reconstruct.run_inputs import uses_flow_prior
-from gof.reconstruct.settings import ReconstructionSettings, Until
+from gof.reconstruct.settings import ReconstructionSettings, Until, require_stage
 from gof.reconstruct.shrink import shrink
 from gof.render.backend import kernels
 
@@ -54,6 +54,7 @@ def reconstruct(
             has too little memory; or see the stages.
         LeakError: the dataset's plates, or what lies in `out`, were made from a frame that is held out.
     """
+    require_stage(until)
     refuse_leaks(dataset)
     with only_run_in(out):
         refuse_leaked_work(out, dataset)

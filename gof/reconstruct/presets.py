@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 
-from gof.core.errors import GofError
 from gof.core.ladder import preset
+from gof.host.options import require_whole
 
 LEAST = {"iterations": 1, "gaussians": 1, "voxels": 4, "longest_side": 16}
 # The options of commands that give them.
@@ -23,7 +23,7 @@ class Effort:
         longest_side: of the pictures, px; larger ones are shrunk.
 
     Raises:
-        GofError: one of them is below its least.
+        GofError: one of them is no whole number, or below its least.
     """
 
     iterations: int
@@ -33,8 +33,7 @@ class Effort:
 
     def __post_init__(self):
         for name, least in LEAST.items():
-            if getattr(self, name) < least:
-                raise GofError(f"{FLAGS[name]} {getattr(self, name)}: must be {least} or more")
+            require_whole(FLAGS[name], getattr(self, name), least)
 
 
 PRESETS: dict[str, Effort] = {
@@ -57,7 +56,7 @@ def effort_of(
     """Return the settings of a preset, with those figures replaced that are given.
 
     Raises:
-        GofError: there is no preset of that name, or a figure is below its least.
+        GofError: there is no preset of that name, or a figure is no whole number or below its least.
     """
     given = {"iterations": steps, "gaussians": gaussians, "voxels": voxels, "longest_side": max_size}
     return replace(preset(name, PRESETS, FORMER), **{key: value for key, value in given.items() if value is not None})
