@@ -26,6 +26,7 @@ def reconstruct(
     until: Until = "result",
     flow_weights: Path | None = None,
     anyway: bool = False,
+    overwrite: bool = False,
     **choices: Any,
 ) -> Reconstruction | None:
     """Reconstruct the flame of a dataset; a finished result in `out` is kept, an interrupted one resumed.
@@ -41,6 +42,7 @@ def reconstruct(
         until: the stage to stop after.
         flow_weights: folder of a MEMFOF checkpoint, for flow="memfof".
         anyway: go on where cameras, clocks, plates or memory look impossible.
+        overwrite: replace a reconstruction in `out` that has other settings; other files there stay.
         choices: method, scene, flow, flow_prior, ablation, seed of `gof.reconstruct.settings.ReconstructionSettings`.
     Returns:
         The reconstruction: `.path` of result.npz, `.count` of Gaussians, costs of the stages and held-out scores; None
@@ -58,7 +60,7 @@ def reconstruct(
     effort = effort_of(preset, steps, gaussians, voxels, max_size)
     opened = dataset if isinstance(dataset, Dataset) else Dataset.open(dataset)
     settings = ReconstructionSettings.of(opened, effort, flow_weights, **choices)
-    return run(opened, settings, Path(out), until, flow_weights, anyway)
+    return run(opened, settings, Path(out), until, flow_weights, anyway, overwrite)
 
 
 sys.modules[__name__].__class__ = CallablePackage

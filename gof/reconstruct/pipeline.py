@@ -38,6 +38,7 @@ def reconstruct(
     until: Until = "result",
     flow_weights: Path | None = None,
     anyway: bool = False,
+    overwrite: bool = False,
 ) -> stages.Reconstruction | None:
     """Run the stages up to `until`; a finished result is kept, an interrupted optimisation resumed.
 
@@ -46,6 +47,8 @@ def reconstruct(
         out: folder of the reconstruction, for these settings alone.
         flow_weights: folder of a MEMFOF checkpoint, for the flow "memfof".
         anyway: go on where cameras, clocks, plates or memory look impossible.
+        overwrite: replace a reconstruction with other settings; its files alone go, once this one is known to be
+            possible.
     Returns:
         None when stopped before the result.
     Raises:
@@ -57,11 +60,13 @@ def reconstruct(
     require_stage(until)
     refuse_leaks(dataset)
     with only_run_in(out):
-        refuse_leaked_work(out, dataset)
-        settings.claim(out)
-        finished = stages.Reconstruction.find(out)
-        if finished is not None:
-            return finished
+        replaced = overwrite and settings.is_replaced(out, overwrite)
+        if not replaced:
+            refuse_leaked_work(out, dataset)
+            settings.is_replaced(out, overwrite)
+            finished = stages.Reconstruction.find(out)
+            if finished is not None:
+                return finished
         small = shrink(dataset, settings.longest_side)
         flow = flow_method(settings.flow, flow_weights)
         _require_motion(small)
@@ -70,6 +75,9 @@ def reconstruct(
         left = TimeLeft(Paces.known().expected_s(parts, machine))
         run = stages.ReconstructionRun(small, settings, method, flow, out, StageLog(out / "costs.json"), left)
         _require_possible(run, anyway)
+        if replaced:
+            stages.remove_made(out)
+        settings.claim(out)
         begun_before = run.log.path.exists()
         made = _run_stages(run, until)
         if made is not None and not begun_before:

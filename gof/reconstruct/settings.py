@@ -8,7 +8,7 @@ from typing import Any, ClassVar, Literal, get_args
 
 from gof.core.errors import GofError
 from gof.core.files import digest, stamp
-from gof.core.records import claim
+from gof.core.records import claim, is_replaced
 from gof.dataset import Dataset
 from gof.host.options import require_choice, require_choices, require_whole
 from gof.reconstruct.ablations import Ablation
@@ -21,14 +21,25 @@ FILE = "settings.json"
 Until = Literal["motion", "flow-field", "seeds", "result"]  # the stages that a reconstruction can stop after
 
 
+OPTIONS = FLAGS | {
+    "method": "--method",
+    "scene": "--scene",
+    "flow": "--flow",
+    "flow_weights": "--flow-weights",
+    "flow_prior": "--no-flow-prior",
+    "ablation": "--ablation",
+    "seed": "--seed",
+}
+
+
 def require_stage(until: str) -> None:
     """Raise GofError: no stage of that name to stop after (names those that there are)."""
     require_choice("--until", until, get_args(Until))
 
 
 def option_of(field: str) -> str:
-    """Return the option of `gof reconstruct` that gives a field of the settings."""
-    return FLAGS.get(field, f"--{field.replace('_', '-')}")
+    """Return the option of `gof reconstruct` that gives a field of the settings; the field's own name without one."""
+    return OPTIONS.get(field, field)
 
 
 @dataclass(frozen=True)
@@ -97,4 +108,12 @@ class ReconstructionSettings:
         Raises:
             GofError: it holds a reconstruction with other settings, or one of an older version.
         """
-        claim(folder / FILE, self, folder / "result.npz")
+        claim(folder / FILE, self, folder / "result.npz", option_of)
+
+    def is_replaced(self, folder: Path, overwrite: bool) -> bool:
+        """Return whether the folder holds a reconstruction with other settings that is to be replaced.
+
+        Raises:
+            GofError: as `claim`, unless `overwrite` and a reconstruction of ours is there.
+        """
+        return is_replaced(folder / FILE, self, folder / "result.npz", overwrite, option_of)
