@@ -10,13 +10,14 @@ import shutil
 import textwrap
 from collections.abc import Iterable, Sequence
 from pathlib import Path
-from typing import Annotated, TypeVar
+from typing import Annotated, Any, TypeVar
 
 import tyro
 
 from gof.commands import everywhere
 from gof.commands.declared import Option, first_of, options_of
 from gof.commands.renamed import renamed
+from gof.core.description import dataset_folder
 from gof.core.errors import GofError
 from gof.core.ladder import METAVAR
 
@@ -44,6 +45,8 @@ def read_options(config: type[C], command: str, argv: Sequence[str]) -> C:
         argv = _with_value(argv, option, word)
     found = tyro.cli(config, prog=f"gof {command}", args=argv)
     _require_something(config, command, found)
+    for field in {"dataset", "datasets"} & vars(found).keys():
+        setattr(found, field, _folders(vars(found)[field]))
     _require_places(config, found)
     everywhere.require_figures_replaceable(kind.SCHEMA for kind in getattr(config, "FIGURES", ()))
     return found
@@ -56,6 +59,14 @@ def _require_something(config: type, command: str, found: object) -> None:
             _, _, examples = parts_of_docstring(inspect.getdoc(config) or "")
             example = "; for example: " + re.split(r"\s{2,}", examples[0])[0] if examples else ""
             raise GofError(f"name {option.name}{example}")
+
+
+def _folders(given: Any) -> Any:
+    """Return the folder of a dataset, or of several, of which dataset.json may be named; what else is given, as it
+    is."""
+    if isinstance(given, (tuple, list)):
+        return type(given)(map(_folders, given))
+    return dataset_folder(given) if isinstance(given, Path) else given
 
 
 def _require_places(config: type, found: object) -> None:
