@@ -15,7 +15,7 @@ from gof.capture.template import BoardTemplate
 from gof.capture.times import FILE
 from gof.commands import capture_sync
 from gof.commands.each import folder_of_each, run_each
-from gof.commands.everywhere import next_to, require_writable
+from gof.commands.everywhere import may_overwrite, next_to, require_writable
 from gof.commands.read import Degrees, Metres, Millimetres, Pixels, read_options
 from gof.core.costs import StageLog
 from gof.core.errors import GofError
@@ -32,7 +32,7 @@ from gof.ingest.focal import is_findable, phones_in_words
 from gof.ingest.footage import Footage
 from gof.ingest.frame_times import Timing
 from gof.ingest.marked_points import read_points
-from gof.ingest.pipeline import Ingested, make_dataset, require_new
+from gof.ingest.pipeline import Ingested, is_made_of, make_dataset, require_new
 from gof.ingest.plates import MOST_FIRE_LEFT, find_plates
 from gof.ingest.published import PublishedFootage, is_published
 from gof.ingest.up import UpChoice
@@ -173,7 +173,7 @@ def ingest(config: IngestConfig) -> Ingested:
     out = config.out or _default_out(config.videos)
     timing, plate = config.timing(out), config.plate_options()
     require_all_positive("--times", timing.fps)
-    require_new(out)
+    require_new(out, may_overwrite())
     if not is_published(config.videos):
         timing.require_one_way()  # now: reading the footage may take minutes
     if plate.folder is not None and not is_published(config.videos):  # now, as the times are
@@ -203,6 +203,7 @@ def ingest(config: IngestConfig) -> Ingested:
         plate,
         max_size=config.max_size,
         others=tuple(other_clip(footage, folder) for folder in config.with_clip),
+        overwrite=may_overwrite(),
     )
 
 
@@ -360,7 +361,17 @@ def main(argv: list[str]) -> int:
     takes = takes_of(config)
     for take in takes.values():
         require_what_no_file_says(take, argv)
-    return run_each(list(takes), lambda folder: ingest_one(takes[folder]))
+    make = ingest_one if len(takes) == 1 else ingest_unless_there
+    return run_each(list(takes), lambda folder: make(takes[folder]))
+
+
+def ingest_unless_there(config: IngestConfig) -> dict:
+    """Make one of several datasets, as `ingest_one`; one that is finished and made of the same videos is kept."""
+    out = config.out or _default_out(config.videos)
+    if may_overwrite() or not is_made_of(out, config.videos):
+        return ingest_one(config)
+    print(f"{out}: is there already, made of these videos; --overwrite makes it anew")
+    return {"dataset": str(out)}
 
 
 def ingest_one(config: IngestConfig) -> dict:
