@@ -23,7 +23,7 @@ from gof.dataset import Dataset
 from gof.dataset.poses import UpReport
 from gof.footage.containers import focal_35mm
 from gof.footage.lens import Turn
-from gof.footage.videos import require_different, stated_fps, videos_of_take
+from gof.footage.videos import has_pictures, require_different, stated_fps, videos_of_take
 from gof.host.options import require_all_positive, require_number, require_positive
 from gof.ingest.accelerometer import read_tilt
 from gof.ingest.evidence import KnownRig, PoseOptions, Solver
@@ -327,12 +327,12 @@ def takes_of(config: IngestConfig) -> dict[Path, IngestConfig]:
     """Return what to make of each take, where every word names a folder with one's videos; else of the videos.
 
     Raises:
-        GofError: an option holds for one take only; two takes have one name.
+        GofError: some words name a take and others do not; an option holds for one take only; two takes have one name.
     """
     words = config.videos
-    folders = [word for word in words if word.is_dir()]
-    videos = {folder: [folder] if is_published([folder]) else videos_of_take(folder) for folder in folders}
-    if len(videos) < len(words) or not all(videos.values()):
+    videos = {word: found for word in words if (found := _footage_in(word))}
+    if len(videos) < len(set(words)):
+        require_no_take(words)
         return {words[0]: config}
     if len(words) > 1:
         times, _, _ = read_times(() if config.times == (SYNC,) else config.times)
@@ -353,6 +353,39 @@ def takes_of(config: IngestConfig) -> dict[Path, IngestConfig]:
         )
         for folder in words
     }
+
+
+def _footage_in(word: Path) -> list[Path]:
+    """Return the footage of a take's folder; none where the word is no such folder."""
+    if not word.is_dir():
+        return []
+    return [word] if is_published([word]) else videos_of_take(word)
+
+
+def require_no_take(words: list[Path]) -> None:
+    """Make sure that videos or folders of pictures, one for each camera, are not mixed with folders of takes.
+
+    Raises:
+        GofError: they are, or a folder holds folders of takes (names the word that is wrong).
+    """
+    for word in words:
+        bare = word.is_dir() and not _footage_in(word) and not has_pictures(word)
+        if within := sorted(folder for folder in word.iterdir() if _footage_in(folder)) if bare else []:
+            raise GofError(f"{word}: holds folders with videos, as {within[0].name}; give these: {word}/*")
+    takes = [word for word in words if _footage_in(word)]
+    if not takes:
+        return
+    other = next(word for word in words if word not in takes)
+    if not other.exists():
+        wrong = "no such folder"
+    elif other.is_file():
+        wrong = "is a file"
+    else:
+        wrong = "holds pictures" if has_pictures(other) else "holds no videos"
+    raise GofError(
+        f"{other}: {wrong}, but {takes[0]} is a folder with the videos of a take: give folders with nothing but the "
+        "videos of one take each, or one video or folder of pictures for each camera"
+    )
 
 
 def main(argv: list[str]) -> int:

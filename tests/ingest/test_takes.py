@@ -93,6 +93,26 @@ def test_a_dataset_of_another_kind_is_not_replaced(tiny_dataset, tmp_path, capsy
 
 
 @pytest.mark.parametrize(
+    ("given", "error"),
+    [
+        (["takes/one", "takes/none"], "takes/none: holds no videos"),
+        (["takes/one", "nope"], "nope: no such folder"),
+        (["takes/mixed", "takes/one"], "takes/mixed: holds pictures, but takes/one"),
+        (["takes/one", "takes/two/c0.mp4"], "takes/two/c0.mp4: is a file"),
+        (["takes"], "takes: holds folders with videos, as one; give these: takes/*"),
+    ],
+)
+def test_the_word_that_is_no_take_is_named(tmp_path, capsys, monkeypatch, given, error):
+    options = write_takes(tmp_path, ("one", "two", "mixed"))
+    (tmp_path / "takes/none").mkdir()
+    (tmp_path / "takes/mixed/board.png").write_bytes(b"a picture of the board")
+    monkeypatch.chdir(tmp_path)
+    assert cli.main(["ingest", *given, "--out", "data", *options]) == 1
+    told = words(capsys)
+    assert error in told and "takes/one:" not in told and datasets(tmp_path) == []
+
+
+@pytest.mark.parametrize(
     ("option", "words_of_it"), [("--points", ["marks.json"]), ("--start", ["0", "1"]), ("--times", ["sync/times.json"])]
 )
 def test_what_holds_for_one_take_is_refused_for_several(tmp_path, capsys, option, words_of_it):
