@@ -148,6 +148,9 @@ def make_dataset(
             the stages for what can be wrong with footage, times and poses.
     """
     require_new(out, overwrite)
+    for given in (*footage.videos, *([plate.folder] if plate.folder else [])) if overwrite else ():
+        if given.resolve().is_relative_to(out.resolve()):
+            raise GofError(f"{given}: lies in {out}, which --overwrite replaces; move it elsewhere first")
 
     with only_run_in(out):
         require_new(out, overwrite)

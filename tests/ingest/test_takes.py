@@ -76,6 +76,9 @@ def test_a_stopped_command_keeps_the_takes_that_are_finished(tmp_path, capsys):
     write_video(tmp_path / "takes/one/c0.mp4", [picture(0, moment + 5) for moment in range(8)])
     assert cli.main(asked) == 1
     assert "already holds a dataset; choose another --out, or replace it with --overwrite" in words(capsys)
+    of_itself = ["ingest", takes[1], "--out", str(tmp_path / "data/two"), *options, "--overwrite"]
+    assert cli.main([*of_itself, "--plates", str(tmp_path / "data/two/static")]) == 1
+    assert "static: lies in" in words(capsys) and (tmp_path / "data/two/dataset.json").is_file()
     (tmp_path / "data/two/notes.txt").write_text("windy")
     (tmp_path / "data/two/costs.json").write_text("of the run before")
     assert cli.main([*asked, "--overwrite"]) == 0
