@@ -191,6 +191,11 @@ def test_a_file_for_a_folder_is_refused_before_the_work(words, result, capsys):
         assert "--out: result.npz is a file, where a folder is needed" in capsys.readouterr().err
 
 
+def test_a_result_to_view_must_be_there(result, capsys):
+    assert main(["view", "nothing"]) == 1
+    assert capsys.readouterr().err == "gof view: nothing: no such file or folder\n"
+
+
 def test_a_blend_goes_to_no_device(result, tiny_dataset, tmp_path, capsys):
     """Blender puts a new file in the place of the old one, whatever that was."""
     os.mkfifo("x.blend")

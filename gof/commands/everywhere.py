@@ -125,9 +125,9 @@ def require_folder(folder: Path, option: str = "--out") -> None:
 
 
 def _holds_figures(file: Path, schemas: Iterable[str]) -> bool:
-    """Return whether a file is JSON as `write_json` writes it, and neither a record nor a scene but of these schemas.
+    """Return whether a file is JSON as `write_json` writes it, without a schema or with one of these.
 
-    What people write by hand is laid out in another way.
+    Files that people write by hand are laid out in another way.
     """
     with file.open("rb") as stream:
         if stream.read(1) not in (b"{", b"["):  # films may have gigabytes
