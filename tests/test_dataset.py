@@ -6,6 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from gof.commands.capture_annotate import AnnotateConfig
 from gof.commands.depth import DepthConfig
 from gof.commands.read import read_options
 from gof.commands.reconstruct import ReconstructConfig
@@ -176,6 +177,8 @@ def test_a_datasets_file_means_its_folder(tiny_dataset, tmp_path):
         open_dataset(around)
     with pytest.raises(DataFormatError, match="'gof generate' or 'gof ingest'"):
         open_dataset(tiny_dataset / "nothing")
+    frozen = read_options(AnnotateConfig, "capture annotate", [str(tiny_dataset / "dataset.json")])
+    assert frozen.dataset == tiny_dataset
     seen = read_options(DepthConfig, "depth", [str(tiny_dataset / "dataset.json")])
     several = read_options(ReconstructConfig, "reconstruct", [str(tiny_dataset / "dataset.json"), "other"])
     assert seen.dataset == tiny_dataset and several.datasets == (tiny_dataset, Path("other"))

@@ -9,6 +9,7 @@ import re
 import shutil
 import textwrap
 from collections.abc import Iterable, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Any, TypeVar
 
@@ -45,8 +46,8 @@ def read_options(config: type[C], command: str, argv: Sequence[str]) -> C:
         argv = _with_value(argv, option, word)
     found = tyro.cli(config, prog=f"gof {command}", args=argv)
     _require_something(config, command, found)
-    for field in {"dataset", "datasets"} & vars(found).keys():
-        setattr(found, field, _folders(vars(found)[field]))
+    named = {field: _folders(vars(found)[field]) for field in {"dataset", "datasets"} & vars(found).keys()}
+    found = replace(found, **named) if named else found  # type: ignore[type-var]  # configs are dataclasses
     _require_places(config, found)
     everywhere.require_figures_replaceable(kind.SCHEMA for kind in getattr(config, "FIGURES", ()))
     return found
