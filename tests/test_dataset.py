@@ -1,12 +1,17 @@
 """The dataset reader: what it gives, and what it says when a folder is wrong."""
 
 import json
+from pathlib import Path
 
 import numpy as np
 import pytest
 
+from gof.commands.capture_annotate import AnnotateConfig
+from gof.commands.depth import DepthConfig
+from gof.commands.read import read_options
+from gof.commands.reconstruct import ReconstructConfig
 from gof.core.errors import DataFormatError
-from gof.dataset import Dataset
+from gof.dataset import Dataset, open_dataset
 from gof.dataset.plates import background, save_plates
 
 
@@ -162,3 +167,18 @@ def test_plates_of_larger_pictures_are_refused_with_a_remedy(tiny_dataset, tmp_p
     save_plates(tmp_path, ["cam_0"], [np.zeros((128, 72, 3))])
     with pytest.raises(DataFormatError, match="cam_0.png: is 72x128, .* are 36x64: score against .* or remove plates/"):
         background(Dataset.open(tiny_dataset), 0, tmp_path)
+
+
+def test_a_datasets_file_means_its_folder(tiny_dataset, tmp_path):
+    """For Python and every command; a folder around a dataset is told where it is."""
+    assert open_dataset(tiny_dataset / "dataset.json").path == tiny_dataset
+    around = tiny_dataset.parent
+    with pytest.raises(DataFormatError, match=rf"it is in {tiny_dataset}: give that folder"):
+        open_dataset(around)
+    with pytest.raises(DataFormatError, match="'gof generate' or 'gof ingest'"):
+        open_dataset(tiny_dataset / "nothing")
+    frozen = read_options(AnnotateConfig, "capture annotate", [str(tiny_dataset / "dataset.json")])
+    assert frozen.dataset == tiny_dataset
+    seen = read_options(DepthConfig, "depth", [str(tiny_dataset / "dataset.json")])
+    several = read_options(ReconstructConfig, "reconstruct", [str(tiny_dataset / "dataset.json"), "other"])
+    assert seen.dataset == tiny_dataset and several.datasets == (tiny_dataset, Path("other"))

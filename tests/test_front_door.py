@@ -2,7 +2,9 @@
 
 import ast
 import inspect
+import json
 import os
+import re
 import subprocess
 import sys
 from pathlib import Path
@@ -49,6 +51,42 @@ def test_evaluate_opens_what_is_named(tmp_path):
     opened = gof.evaluate(tmp_path / "result", gof.open_dataset(tmp_path / "fire"), images=False)
     named = gof.evaluate(str(tmp_path / "result"), str(tmp_path / "fire"), images=False)
     assert named.dve == opened.dve and named.dve.l2 < named.trivial_baselines["zero"].l2
+
+
+@pytest.mark.parametrize(
+    ("given", "words"),
+    [
+        ({"ablation": "nomask"}, "--ablation nomask: there are none, no-sync, rand-flow, joint-opt, no-mask"),
+        ({"scene": "foo"}, "--scene foo: there are plates, gaussians"),
+        ({"until": "seed"}, "--until seed: there are motion, flow-field, seeds, result"),
+        ({"flow": "foo"}, "--flow foo: there are dis"),
+        ({"method": "bar"}, "--method bar: there are gof, paper"),
+        ({"gaussians": float("nan")}, "--gaussians nan: must be a whole number"),
+        ({"steps": "5"}, "--steps '5': must be a whole number"),
+        ({"steps": 5.5}, "--steps 5.5: must be a whole number"),
+        ({"seed": 0.5}, "--seed 0.5: must be a whole number"),
+        ({"seed": -1}, "--seed -1: must be 0 or more"),
+    ],
+)
+def test_a_choice_that_there_is_not_is_refused_before_any_work(given, words, tiny_dataset, tmp_path):
+    """Taken as if there were one, it would stand in settings.json and change nothing."""
+    with pytest.raises(gof.GofError, match=re.escape(words)):
+        gof.reconstruct(tiny_dataset, tmp_path / "out", "toy", **given)
+    assert not (tmp_path / "out").exists()
+
+
+def test_settings_on_the_disk_have_choices_that_there_are(tiny_dataset, tmp_path):
+    """Written by a version that took them all; read, they are refused by name."""
+    from gof.core.records import read_record, to_json
+    from gof.reconstruct.presets import effort_of
+    from gof.reconstruct.settings import ReconstructionSettings
+
+    good = ReconstructionSettings.of(gof.open_dataset(tiny_dataset), effort_of("toy"))
+    (tmp_path / "good.json").write_text(json.dumps(to_json(good)))
+    assert read_record(ReconstructionSettings, tmp_path / "good.json") == good
+    (tmp_path / "bad.json").write_text(json.dumps(to_json(good) | {"ablation": "nomask"}))
+    with pytest.raises(gof.GofError, match=r"bad.json: ablation must be one of .*no-mask"):
+        read_record(ReconstructionSettings, tmp_path / "bad.json")
 
 
 def test_a_preset_that_does_not_exist_is_refused_before_any_work(tmp_path):

@@ -10,6 +10,9 @@ import threading
 import pytest
 
 from gof.commands.cli import main
+from gof.commands.completion import leaves
+from gof.commands.declared import config_of, options_of
+from gof.commands.read import FOLDERS
 from gof.core.files import atomic_path, write_json
 from gof.host.processes import python_command
 from tests.conftest import random_gaussians
@@ -63,7 +66,7 @@ def test_a_pipe_stays_one_and_gets_all(result, tmp_path):
 @pytest.mark.parametrize("target", ["disk/x.json", "disk/new.json"])
 def test_a_link_that_the_user_names_leads_to_the_file(result, tmp_path, target, equals):
     (tmp_path / "disk").mkdir()
-    (tmp_path / "disk/x.json").write_text("old")
+    write_json(tmp_path / "disk/x.json", {"film": "older figures"})
     (tmp_path / "link.json").symlink_to(target)
     words = ["--json=link.json"] if equals else ["--json", "link.json"]
     assert main(["share", result, "--out", "z.html", *words]) == 0
@@ -94,10 +97,103 @@ def test_standard_output_gets_it_after_what_was_said(result, tmp_path, name):
 def test_a_folder_and_a_circle_are_named(result, tmp_path, capsys):
     (tmp_path / "folder").mkdir()
     assert main(["share", result, "--out", "z.html", "--json", "folder"]) == 1
-    assert "folder: Is a directory" in capsys.readouterr().err
+    assert "--json folder: is a folder" in capsys.readouterr().err and not os.path.exists("z.html")
     (tmp_path / "circle.json").symlink_to("circle.json")
     assert main(["share", result, "--out", "y.html", "--json", "circle.json"]) == 1
     assert "circle.json" in capsys.readouterr().err and (tmp_path / "circle.json").is_symlink()
+
+
+@pytest.mark.parametrize(
+    ("name", "content"),
+    [
+        ("cam_0.mp4", b"\0\0\0\x18ftypmp42"),
+        ("result.npz", b"PK\3\4"),
+        ("flame.ply", b"ply\nformat ascii 1.0\n"),
+        ("points.json", b'{"points": [[0, 0]]}\n'),  # as people write it
+        ("dataset.json", b'{\n "schema": "gof-dataset",\n "version": 1\n}\n'),
+        ("spec.json", b'{\n  "schema": "gof-scene"\n}\n'),
+        ("settings.json", b'{\n "schema": "gof-reconstruction-settings"\n}\n'),
+        ("scores.json", b'{\n "schema": "gof-scores"\n}\n'),  # of another command
+        ("notes.txt", b"[not JSON"),
+        ("empty", b""),
+    ],
+)
+def test_figures_replace_nothing_but_figures(result, tmp_path, name, content, capsys):
+    """A forgotten name behind --json would take the next word: a film, say."""
+    own = tmp_path / "mine" / name
+    own.parent.mkdir()
+    own.write_bytes(content)
+    words = ["share", result, "--out", "z.html", "--json", str(own)]
+    assert main(words) == 1
+    said = capsys.readouterr().err
+    assert f"--json {own}: is there already" in said and "--overwrite" in said
+    assert own.read_bytes() == content and not os.path.exists("z.html"), "it is refused before the work"
+    assert main([*words, "--overwrite"]) == 0
+    assert isinstance(json.loads(own.read_text()), dict)
+
+
+def test_the_same_command_replaces_its_own_figures(result, tmp_path):
+    for _ in range(2):
+        assert main(["share", result, "--json", "figures.json"]) == 0
+    assert json.loads((tmp_path / "figures.json").read_text())
+
+
+def test_scores_are_figures_of_evaluate(tiny_dataset, result, tmp_path, capsys):
+    words = ["evaluate", result, "--dataset", str(tiny_dataset), "--no-images", "--json", "figures.json"]
+    assert main(words) == 0
+    write_json(tmp_path / "figures.json", json.loads((tmp_path / "figures.json").read_text()) | {"costs": {}})
+    assert main(words) == 0 and json.loads((tmp_path / "figures.json").read_text())["costs"]
+    before = (tmp_path / "figures.json").read_bytes()
+    assert main(["doctor", "--json", "figures.json"]) == 1
+    assert (tmp_path / "figures.json").read_bytes() == before
+
+
+def test_an_option_is_no_file_of_figures(result, capsys):
+    assert main(["share", result, "--json", "--quiet"]) == 2
+    assert "--json: name the file" in capsys.readouterr().err and not os.path.exists("--quiet")
+
+
+def test_figures_in_a_file_for_a_folder_are_refused_before_the_work(result, capsys):
+    assert main(["share", result, "--out", "z.html", "--json", "result.npz/x.json"]) == 1
+    assert "result.npz is a file, where a folder is needed" in capsys.readouterr().err
+    assert not os.path.exists("z.html")
+
+
+def test_every_out_is_of_a_folder_or_of_files():
+    """By the beginning of its text, a file in the place of a folder is refused before the work."""
+    files = ("File to write", "Files to write", "File or folder", "JSON file", "Film to write", "The .blend")
+    begins = {
+        command: option.text
+        for command, module in leaves().items()
+        for option in options_of(config_of(module))
+        if option.field == "out"
+    }
+    assert len(begins) > 15
+    for command, text in begins.items():
+        assert text.startswith((*FOLDERS, *files)), f"{command}: {text}"
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        "evaluate result.npz --dataset nothing",
+        "leaderboard nothing",
+        "background nothing",
+        "ingest a.mp4",
+        "unpack a.tar",
+        "reconstruct nothing",
+        "depth nothing",
+    ],
+)
+def test_a_file_for_a_folder_is_refused_before_the_work(words, result, capsys):
+    for out in ("result.npz", "result.npz/deeper"):
+        assert main([*words.split(), "--out", out]) == 1
+        assert "--out: result.npz is a file, where a folder is needed" in capsys.readouterr().err
+
+
+def test_a_result_to_view_must_be_there(result, capsys):
+    assert main(["view", "nothing"]) == 1
+    assert capsys.readouterr().err == "gof view: nothing: no such file or folder\n"
 
 
 def test_a_blend_goes_to_no_device(result, tiny_dataset, tmp_path, capsys):

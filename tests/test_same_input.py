@@ -12,6 +12,7 @@ import pytest
 from gof.commands.background import main as background
 from gof.commands.reconstruct import main as reconstruct
 from gof.core.errors import GofError
+from gof.core.files import read_json
 from gof.dataset import Dataset
 from gof.reconstruct.curve import CurveLog, HeldOutScores
 from gof.reconstruct.presets import Effort
@@ -89,7 +90,7 @@ def test_weights_belong_to_the_settings(dataset, tmp_path):
     (weights / "model.safetensors").write_bytes(b"other")
     after = ReconstructionSettings.of(opened, EFFORT, flow="memfof", flow_weights=weights)
     before.claim(tmp_path / "out")
-    with pytest.raises(GofError, match="flow_weights differ"):
+    with pytest.raises(GofError, match="--flow-weights differ"):
         after.claim(tmp_path / "out")
     assert str(tmp_path) not in (tmp_path / "out" / "settings.json").read_text()
 
@@ -121,6 +122,23 @@ def test_a_background_of_another_dataset_or_with_other_options_is_not_returned(d
     change_picture(dataset)
     with pytest.raises(GofError, match="dataset differ"):
         background([str(dataset), "--out", str(out), "--steps", "7"])
+
+
+def test_overwrite_replaces_a_background_of_other_options(dataset, tmp_path):
+    out = tmp_path / "out"
+    (dataset / "depth").mkdir()
+    for camera in Dataset.open(dataset).cameras:
+        np.save(dataset / f"depth/{camera.name}.npy", np.full((camera.height, camera.width), 2.0))
+    words = [str(dataset), "--out", str(out), "--gaussians", "40"]
+    background([*words, "--steps", "7"])
+    (out / "notes.txt").write_text("mine")
+    with pytest.raises(GofError, match="--steps differ.*--overwrite"):
+        background([*words, "--steps", "8"])
+    background([*words, "--steps", "8", "--overwrite"])
+    assert read_json(out / "background.json")["steps"] == 8 and (out / "notes.txt").exists()
+    (out / "background.npz").unlink()  # as a run leaves it that was stopped
+    background([*words, "--steps", "7"])
+    assert read_json(out / "background.json")["steps"] == 7
 
 
 def test_a_background_of_an_older_version_is_not_returned(dataset, tmp_path):

@@ -6,7 +6,7 @@ import os
 import shutil
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, ClassVar, Literal
 
 import tyro
 
@@ -40,6 +40,8 @@ class AddConfig:
     A result of ours is a folder with result.npz; its frames, costs and plates come along. For another method give the
     file, the frames that it learned from, and the pictures that its own renderer drew.
     """
+
+    FIGURES: ClassVar = (Scores,)
 
     result: tyro.conf.Positional[Annotated[Path, tyro.conf.arg(metavar="RESULT")]]
     """Folder of `gof reconstruct`, or file or folder of any method that docs/importers.md lists."""

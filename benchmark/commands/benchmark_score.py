@@ -7,7 +7,7 @@ import json
 import os
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, ClassVar
 
 import tyro
 
@@ -23,7 +23,7 @@ from gof.evaluate.leaderboard import EvaluatedResult
 from gof.evaluate.method import AboutMethod
 from gof.evaluate.scores import Scores
 from gof.evaluate.submission import OPACITY, ORDER, PICTURES, SCORES, Run, Submission, check, score_again
-from gof.evaluate.suite_board import RANKED, ScoredScene, board
+from gof.evaluate.suite_board import RANKED, ScoredScene, SuiteBoard, board
 from gof.evaluate.training_curve import FILE as CURVE
 from gof.evaluate.training_curve import TrainingCurve
 from gof.host.terminal import console
@@ -46,6 +46,8 @@ class ScoreConfig:
     same dataset is scored once. A method that `gof benchmark check` refuses is shown with the reason and not ranked.
     Development scenes are scored apart, with --scenes dev; no rank mixes the two.
     """
+
+    FIGURES: ClassVar = (SuiteBoard,)
 
     folders: tyro.conf.Positional[Annotated[list[Path], tyro.conf.arg(metavar="SUBMISSION ... SUITE")]]
     """Submissions, and last the folder of a size of the suite: mine others WORK/standard."""

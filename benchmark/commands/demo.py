@@ -48,6 +48,8 @@ class DemoConfig:
     where it was.
     """
 
+    FIGURES: ClassVar = (Scores,)
+
     out: Path = Path("out/demo")
     """Folder for everything the demo makes."""
     scene: str = "demo"
@@ -160,7 +162,7 @@ def evaluation(config: DemoConfig) -> Path:
 def main(argv: list[str]) -> int:
     """`gof demo [--out DIR]`; see --help."""
     config = read_options(DemoConfig, "demo", argv)
-    claim(config.out / "demo.json", DemoSettings.of(config), config.out / "dataset" / "spec.json")
+    claim(config.out / "demo.json", DemoSettings.of(config), config.out / "dataset" / "spec.json", _option_of)
     scene, spec = config.out / "scene.json", spec_of(config)
     if not scene.is_file() or scene_spec.load(scene) != spec:
         scene_spec.save(spec, scene)
@@ -174,6 +176,10 @@ def main(argv: list[str]) -> int:
     print(f"total of this run {time.perf_counter() - start:.0f} s; open {config.out / 'report.html'}")
     print(f"{config.out / 'share.html'} is the flame itself, in one file to send")
     return 0
+
+
+def _option_of(field: str) -> str:
+    return FLAGS.get(field, f"--{field}")
 
 
 def run_stages(config: DemoConfig) -> None:

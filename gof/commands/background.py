@@ -8,7 +8,7 @@ from typing import Annotated, ClassVar
 
 import tyro
 
-from gof.commands.everywhere import next_to, write_figures
+from gof.commands.everywhere import may_overwrite, next_to, write_figures
 from gof.commands.read import Pixels, read_options
 from gof.core.costs import StageLog
 from gof.reconstruct.background import BackgroundOptions, add_flame, make_background
@@ -43,7 +43,7 @@ def main(argv: list[str]) -> int:
     config = read_options(BackgroundConfig, "background", argv)
     options = BackgroundOptions(config.steps, config.gaussians, config.max_size)
     out = config.out or next_to(config.dataset, "_background")
-    gaussians = make_background(config.dataset, out, options)
+    gaussians = make_background(config.dataset, out, options, may_overwrite())
     if config.flame is not None:
         add_flame(gaussians, config.flame, out)
     stages = StageLog(out / "costs.json").stages()

@@ -62,6 +62,7 @@ class EvaluateConfig:
     """
 
     BARE: ClassVar = {"--published": "none"}
+    FIGURES: ClassVar = (Scores,)
 
     result: tyro.conf.Positional[Annotated[Path, tyro.conf.arg(metavar="RESULT")]]
     """Result of a reconstruction: ours, or any method's that docs/importers.md lists."""

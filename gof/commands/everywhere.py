@@ -8,12 +8,13 @@ from __future__ import annotations
 
 import contextlib
 import os
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 from gof.core.errors import GofError
+from gof.core.files import as_json, holds_content, read_json, write_json
 from gof.host.terminal import QUIET_VARIABLE
 
 DEBUG_VARIABLE, FAULTS = "GOF_DEBUG", "faults"  # with this value for faults of ours alone, as tests have it
@@ -49,8 +50,9 @@ def split(argv: list[str]) -> tuple[list[str], Everywhere]:
         if word == "--":
             return [*rest, word, *words], given
         if word == "--json" or word.startswith("--json="):
-            file = word.partition("=")[2] or next(words, "")
-            if not file:
+            equals, file = word.partition("=")[1:]
+            file = file if equals else next(words, "")
+            if not file or (not equals and file.startswith("--")):
                 raise GofError("--json: name the file to write the figures to")
             given = replace(given, json=Path(file))
         elif word in ("--quiet", "--verbose", "--overwrite"):
@@ -89,11 +91,60 @@ def taken_from(argv: list[str]) -> list[str]:
     return rest
 
 
+def require_figures_replaceable(schemas: Iterable[str]) -> None:
+    """Make sure, before any work, that the file of --json can be written, and that only older figures go with it.
+
+    Args:
+        schemas: of the records that this command writes as its figures; a file of one of them is replaced.
+    Raises:
+        GofError: it is a folder, lies in what is none, or holds anything but figures and --overwrite was not given.
+    """
+    if (file := _given.json) is None:
+        return
+    require_folder(file.absolute().parent, "--json")
+    if file.is_dir():
+        raise GofError(f"--json {file}: is a folder; name a file in it")
+    if holds_content(file) and not _given.overwrite and not _holds_figures(file, schemas):
+        raise GofError(
+            f"--json {file}: is there already and holds no figures of this command; name the file to write them to "
+            "behind --json, or replace this one with --overwrite"
+        )
+
+
+def require_folder(folder: Path, option: str = "--out") -> None:
+    """Make sure, before any work, that a folder is one or can become one.
+
+    Raises:
+        GofError: it is a file, or lies in one (names the file and the option).
+    """
+    for place in (folder, *folder.parents):
+        if place.is_dir():
+            return
+        if place.exists():
+            raise GofError(f"{option}: {place} is a file, where a folder is needed; name another place")
+
+
+def _holds_figures(file: Path, schemas: Iterable[str]) -> bool:
+    """Return whether a file is JSON as `write_json` writes it, without a schema or with one of these.
+
+    Files that people write by hand are laid out in another way.
+    """
+    with file.open("rb") as stream:
+        if stream.read(1) not in (b"{", b"["):  # films may have gigabytes
+            return False
+    try:
+        content = read_json(file)
+        as_written = file.read_bytes() == as_json(content).encode()
+    except GofError:
+        return False
+    schema = content.get("schema") if isinstance(content, dict) else None
+    return as_written and (schema is None or schema in schemas)
+
+
 def write_figures(figures: Any) -> None:
     """Write a command's figures, a record or what JSON can hold, to the file of --json; nothing without that option."""
     if (file := figures_file()) is None:
         return
-    from gof.core.files import write_json
     from gof.core.records import write_record
 
     if hasattr(figures, "SCHEMA"):
@@ -126,7 +177,7 @@ def require_free(*paths: Path) -> None:
         GofError: one is there, and --overwrite was not given (says so).
     """
     for path in paths:
-        if (path.is_file() or path.is_dir()) and not _given.overwrite:
+        if holds_content(path) and not _given.overwrite:
             raise GofError(f"{path}: is there already; give --out another name, or replace it with --overwrite")
 
 

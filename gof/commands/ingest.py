@@ -15,7 +15,7 @@ from gof.capture.template import BoardTemplate
 from gof.capture.times import FILE
 from gof.commands import capture_sync
 from gof.commands.each import folder_of_each, run_each
-from gof.commands.everywhere import next_to, require_writable
+from gof.commands.everywhere import may_overwrite, next_to, require_writable
 from gof.commands.read import Degrees, Metres, Millimetres, Pixels, read_options
 from gof.core.costs import StageLog
 from gof.core.errors import GofError
@@ -23,7 +23,7 @@ from gof.dataset import Dataset
 from gof.dataset.poses import UpReport
 from gof.footage.containers import focal_35mm
 from gof.footage.lens import Turn
-from gof.footage.videos import require_different, stated_fps, videos_of_take
+from gof.footage.videos import has_pictures, require_different, stated_fps, videos_of_take
 from gof.host.options import require_all_positive, require_number, require_positive
 from gof.ingest.accelerometer import read_tilt
 from gof.ingest.evidence import KnownRig, PoseOptions, Solver
@@ -32,7 +32,7 @@ from gof.ingest.focal import is_findable, phones_in_words
 from gof.ingest.footage import Footage
 from gof.ingest.frame_times import Timing
 from gof.ingest.marked_points import read_points
-from gof.ingest.pipeline import Ingested, make_dataset, require_new
+from gof.ingest.pipeline import Ingested, is_made_of, make_dataset, require_new
 from gof.ingest.plates import MOST_FIRE_LEFT, find_plates
 from gof.ingest.published import PublishedFootage, is_published
 from gof.ingest.up import UpChoice
@@ -173,7 +173,7 @@ def ingest(config: IngestConfig) -> Ingested:
     out = config.out or _default_out(config.videos)
     timing, plate = config.timing(out), config.plate_options()
     require_all_positive("--times", timing.fps)
-    require_new(out)
+    require_new(out, may_overwrite())
     if not is_published(config.videos):
         timing.require_one_way()  # now: reading the footage may take minutes
     if plate.folder is not None and not is_published(config.videos):  # now, as the times are
@@ -203,6 +203,7 @@ def ingest(config: IngestConfig) -> Ingested:
         plate,
         max_size=config.max_size,
         others=tuple(other_clip(footage, folder) for folder in config.with_clip),
+        overwrite=may_overwrite(),
     )
 
 
@@ -326,12 +327,12 @@ def takes_of(config: IngestConfig) -> dict[Path, IngestConfig]:
     """Return what to make of each take, where every word names a folder with one's videos; else of the videos.
 
     Raises:
-        GofError: an option holds for one take only; two takes have one name.
+        GofError: some words name a take and others do not; an option holds for one take only; two takes have one name.
     """
     words = config.videos
-    folders = [word for word in words if word.is_dir()]
-    videos = {folder: [folder] if is_published([folder]) else videos_of_take(folder) for folder in folders}
-    if len(videos) < len(words) or not all(videos.values()):
+    videos = {word: found for word in words if (found := _footage_in(word))}
+    if len(videos) < len(set(words)):
+        require_no_take(words)
         return {words[0]: config}
     if len(words) > 1:
         times, _, _ = read_times(() if config.times == (SYNC,) else config.times)
@@ -354,13 +355,56 @@ def takes_of(config: IngestConfig) -> dict[Path, IngestConfig]:
     }
 
 
+def _footage_in(word: Path) -> list[Path]:
+    """Return the footage of a take's folder; none where the word is no such folder."""
+    if not word.is_dir():
+        return []
+    return [word] if is_published([word]) else videos_of_take(word)
+
+
+def require_no_take(words: list[Path]) -> None:
+    """Make sure that videos or folders of pictures, one for each camera, are not mixed with folders of takes.
+
+    Raises:
+        GofError: they are, or a folder holds folders of takes (names the word that is wrong).
+    """
+    for word in words:
+        bare = word.is_dir() and not _footage_in(word) and not has_pictures(word)
+        if within := sorted(folder for folder in word.iterdir() if _footage_in(folder)) if bare else []:
+            raise GofError(f"{word}: holds folders with videos, as {within[0].name}; give these: {word}/*")
+    takes = [word for word in words if _footage_in(word)]
+    if not takes:
+        return
+    other = next(word for word in words if word not in takes)
+    if not other.exists():
+        wrong = "no such folder"
+    elif other.is_file():
+        wrong = "is a file"
+    else:
+        wrong = "holds pictures" if has_pictures(other) else "holds no videos"
+    raise GofError(
+        f"{other}: {wrong}, but {takes[0]} is a folder with the videos of a take: give folders with nothing but the "
+        "videos of one take each, or one video or folder of pictures for each camera"
+    )
+
+
 def main(argv: list[str]) -> int:
     """`gof ingest VIDEO... [--out DATASET]`; see --help."""
     config = read_options(IngestConfig, "ingest", argv)
     takes = takes_of(config)
     for take in takes.values():
         require_what_no_file_says(take, argv)
-    return run_each(list(takes), lambda folder: ingest_one(takes[folder]))
+    make = ingest_one if len(takes) == 1 else ingest_unless_there
+    return run_each(list(takes), lambda folder: make(takes[folder]))
+
+
+def ingest_unless_there(config: IngestConfig) -> dict:
+    """Make one of several datasets, as `ingest_one`; one that is finished and made of the same videos is kept."""
+    out = config.out or _default_out(config.videos)
+    if may_overwrite() or not is_made_of(out, config.videos):
+        return ingest_one(config)
+    print(f"{out}: is there already, made of these videos; --overwrite makes it anew")
+    return {"dataset": str(out)}
 
 
 def ingest_one(config: IngestConfig) -> dict:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, ClassVar
 
 import tyro
 from rich.box import SIMPLE_HEAD
@@ -52,6 +52,8 @@ class LeaderboardConfig:
     Examples:
       gof leaderboard boards/ours boards/theirs --dataset data/fire
     """
+
+    FIGURES: ClassVar = (Leaderboard,)
 
     folders: tyro.conf.Positional[Annotated[list[Path], tyro.conf.arg(metavar="FOLDER ...")]]
     """Folders with scores.json of gof evaluate; also method.json ("name", "train_seconds") and costs.json, if there."""

@@ -9,18 +9,23 @@ import re
 import shutil
 import textwrap
 from collections.abc import Iterable, Sequence
+from dataclasses import replace
 from pathlib import Path
-from typing import Annotated, TypeVar
+from typing import Annotated, Any, TypeVar
 
 import tyro
 
 from gof.commands import everywhere
 from gof.commands.declared import Option, first_of, options_of
 from gof.commands.renamed import renamed
+from gof.core.description import dataset_folder
 from gof.core.errors import GofError
 from gof.core.ladder import METAVAR
 
 C = TypeVar("C")
+
+# How the text of --out begins, where it is of a folder; else it is of files.
+FOLDERS = ("Folder", "Dataset folder")
 
 
 def read_options(config: type[C], command: str, argv: Sequence[str]) -> C:
@@ -41,6 +46,10 @@ def read_options(config: type[C], command: str, argv: Sequence[str]) -> C:
         argv = _with_value(argv, option, word)
     found = tyro.cli(config, prog=f"gof {command}", args=argv)
     _require_something(config, command, found)
+    named = {field: _folders(vars(found)[field]) for field in {"dataset", "datasets"} & vars(found).keys()}
+    found = replace(found, **named) if named else found  # type: ignore[type-var]  # configs are dataclasses
+    _require_places(config, found)
+    everywhere.require_figures_replaceable(kind.SCHEMA for kind in getattr(config, "FIGURES", ()))
     return found
 
 
@@ -51,6 +60,24 @@ def _require_something(config: type, command: str, found: object) -> None:
             _, _, examples = parts_of_docstring(inspect.getdoc(config) or "")
             example = "; for example: " + re.split(r"\s{2,}", examples[0])[0] if examples else ""
             raise GofError(f"name {option.name}{example}")
+
+
+def _folders(given: Any) -> Any:
+    """Return the folder of a dataset, or of several, of which dataset.json may be named; what else is given, as it
+    is."""
+    if isinstance(given, (tuple, list)):
+        return type(given)(map(_folders, given))
+    return dataset_folder(given) if isinstance(given, Path) else given
+
+
+def _require_places(config: type, found: object) -> None:
+    """Raise GofError where the folder of --out, or of the files that it names, is a file: now, and not after the
+    work."""
+    for option in options_of(config):
+        if option.field == "out" and (out := vars(found)["out"]):
+            for path in [out] if isinstance(out, Path) else out:
+                folder = path if option.text.startswith(FOLDERS) else path.absolute().parent
+                everywhere.require_folder(folder, option.name)
 
 
 def _with_value(argv: list[str], option: str, word: str) -> list[str]:

@@ -9,7 +9,7 @@ from typing import Annotated, ClassVar
 import tyro
 
 from gof.commands.each import folder_of_each, run_each
-from gof.commands.everywhere import next_to
+from gof.commands.everywhere import may_overwrite, next_to
 from gof.commands.read import Pixels, Preset, read_options
 from gof.core.cameras import in_words, sizes_px
 from gof.core.errors import GofError
@@ -108,6 +108,7 @@ def reconstruct_one(dataset: Dataset, out: Path, config: ReconstructConfig) -> d
         until=config.until,
         flow_weights=config.flow_weights,
         anyway=config.anyway,
+        overwrite=may_overwrite(),
         method=config.method,
         scene=config.scene,
         flow=config.flow,

@@ -8,7 +8,7 @@ from typing import Annotated, ClassVar
 
 import tyro
 
-from gof.commands.everywhere import beside, write_figures
+from gof.commands.everywhere import beside, require_free, write_figures
 from gof.commands.read import Pixels, Rate, Results, named, read_options
 from gof.core.cameras import Camera
 from gof.core.errors import GofError
@@ -24,7 +24,7 @@ from gof.host.terminal import console, progress_bar
 from gof.io.importers import ImportOptions
 from gof.io.importers.sidecar import with_sidecar
 from gof.look.animation import STILL, require_film
-from gof.look.film import FilmOptions, Recorded, fitted, make_film
+from gof.look.film import FilmOptions, Recorded, fitted, is_begun, make_film
 from gof.look.panels import Panel, Subject
 from gof.look.path import Clock, Journey, Shot, Way, clock, orbit, say_what_is_a_guess, shots, stay, through
 from gof.look.player.opened import Opened, dataset_beside, middle_of, open_moving, time_span
@@ -201,6 +201,8 @@ def _check(config: VideoConfig, style: FilmStyle) -> None:
         raise GofError("--style recorded: needs a camera that stays where it recorded; add --camera-path camera")
     if config.out is not None:
         require_film(config.out)
+        if not is_begun(config.out):
+            require_free(config.out)
 
 
 def _span(results: list[Opened], dataset: Dataset | None) -> tuple[float, float]:

@@ -11,7 +11,7 @@ from typing import Annotated
 import tyro
 
 from gof.commands.read import read_options
-from gof.core.errors import GofError
+from gof.core.errors import DataFormatError, GofError
 from gof.dataset import Dataset
 from gof.host.options import require_number
 from gof.look.player.live import HOST, Live, serve
@@ -48,6 +48,8 @@ def main(argv: list[str]) -> int:
         )
     config = read_options(ViewConfig, "view", argv)
     require_number("--port", config.port, least=0, most=65535)
+    if not config.result.exists():
+        raise DataFormatError(f"{config.result}: no such file or folder")
     folder = config.dataset or dataset_beside(config.result)
     live = Live(config.result, None if folder is None else Dataset.open(folder))
     with serve(live, config.port) as server, suppress(KeyboardInterrupt):

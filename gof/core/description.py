@@ -209,10 +209,13 @@ class DatasetDescription:
         """
         path = folder / FILE
         if not path.is_file():
-            raise DataFormatError(
-                f"{folder}: no {FILE}; not a dataset, or its generation has not finished "
-                "(run 'gof generate' on it again to resume)"
+            within = sorted(folder.glob(f"*/{FILE}")) if folder.is_dir() else []
+            remedy = (
+                f"it is in {within[0].parent}: give that folder"
+                if within
+                else "not a dataset, or not finished: run the 'gof generate' or 'gof ingest' that makes it again"
             )
+            raise DataFormatError(f"{folder}: no {FILE}; {remedy}")
         data = read_json(path)
         entries = data.get("cameras") if isinstance(data, dict) else None
         for entry in entries if isinstance(entries, list) else ():
@@ -226,6 +229,11 @@ class DatasetDescription:
     def write(self, folder: Path) -> None:
         """Write `folder/dataset.json`. Written last, it says that the dataset is complete."""
         write_record(folder / FILE, self)
+
+
+def dataset_folder(path: Path) -> Path:
+    """Return the folder of a dataset, also where its dataset.json is named."""
+    return path.parent if path.name == FILE and path.is_file() else path
 
 
 def _as_file_system(name: str) -> str:

@@ -172,6 +172,12 @@ def atomic_path(path: Path) -> Iterator[Path]:
         temporary.unlink(missing_ok=True)
 
 
+def holds_content(path: Path) -> bool:
+    """Return whether writing to a path would replace something: not so for a device, a pipe, or this process' output,
+    wherever that goes."""
+    return (path.is_file() or path.is_dir()) and _descriptor(path) is None
+
+
 def _descriptor(path: Path) -> int | None:
     """Return the number of an open file of this process that a path means, also by links: /dev/stdout is 1."""
     known = {"/dev/stdout": 1, "/dev/stderr": 2}
@@ -301,7 +307,12 @@ def write_text(path: Path, text: str) -> None:
 
 def write_json(path: Path, value: Any, indent: int = 1) -> None:
     """Write JSON atomically; NaN and Inf are refused, because other readers reject them."""
-    write_text(path, json.dumps(value, indent=indent, allow_nan=False) + "\n")
+    write_text(path, as_json(value, indent))
+
+
+def as_json(value: Any, indent: int = 1) -> str:
+    """Return the text that `write_json` writes. Raises ValueError: a number is NaN or Inf."""
+    return json.dumps(value, indent=indent, allow_nan=False) + "\n"
 
 
 def read_text(path: Path, errors: str = "strict") -> str:

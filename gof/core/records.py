@@ -8,6 +8,7 @@ name, when it is read.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any, ClassVar, Protocol, TypeVar
@@ -78,26 +79,56 @@ def write_record(path: Path, record: Record) -> None:
     write_json(path, to_json(record))
 
 
-def claim(path: Path, record: Record, made: Path) -> None:
+def claim(path: Path, record: Record, made: Path, called: Callable[[str], str] = str) -> None:
     """Write what something is made with beside it, or make sure that it is made with the same.
 
     Args:
         path: of the record.   made: the file whose presence means that the folder is finished.
+        called: the option of a field's name, for people.
     Raises:
         GofError: it was made with other settings (named), or by an older version that did not write them down.
     """
-    if not path.exists() and not made.exists():
+    if (other := other_settings(path, record, made, called)) is not None:
+        raise GofError(f"{other}; choose another --out or remove the folder")
+    if not path.exists():
         write_record(path, record)
-        return
+
+
+def is_replaced(path: Path, record: Record, made: Path, overwrite: bool, called: Callable[[str], str] = str) -> bool:
+    """Return whether what stands in a folder was made with other settings, and is to be replaced: as `claim`, but
+    nothing is written, and a folder that the record's own command has written to can be taken over.
+
+    Raises:
+        GofError: it was made with other settings, and `overwrite` is not set or another command's files are there.
+    """
+    if (other := other_settings(path, record, made, called)) is None:
+        return False
+    if _is_of(type(record), path):
+        if overwrite:
+            return True
+        raise GofError(f"{other}; choose another --out, or replace it with --overwrite")
+    raise GofError(f"{other}; choose another --out or remove the folder")
+
+
+def other_settings(path: Path, record: Record, made: Path, called: Callable[[str], str]) -> str | None:
+    """Return, in words, with which other settings a folder was begun or made; None where there are no others."""
+    if not path.exists() and not made.exists():
+        return None
     try:
         before = asdict(read_record(type(record), path))
     except DataFormatError as e:
-        raise GofError(
-            f"{e}; what is in {path.parent} was made by an older version: choose another --out or remove the folder"
-        ) from e
-    changed = sorted(name for name, value in asdict(record).items() if value != before[name])
-    if changed:
-        raise GofError(
-            f"{path.parent}: {made.name} there is made with other settings ({', '.join(changed)} differ); "
-            "choose another --out or remove the folder"
-        )
+        return f"{e}; what is in {path.parent} was made by an older version"
+    changed = [called(name) for name, value in asdict(record).items() if value != before[name]]
+    if not changed:
+        return None
+    there = f"{made.name} there is made" if made.exists() else "a run that was stopped there was begun"
+    return f"{path.parent}: {there} with other settings ({', '.join(sorted(changed))} differ)"
+
+
+def _is_of(kind: type[Record], path: Path) -> bool:
+    """Return whether a file is a record of this kind, of whatever version."""
+    try:
+        content = read_json(path)
+    except DataFormatError:
+        return False
+    return isinstance(content, dict) and content.get("schema") == kind.SCHEMA

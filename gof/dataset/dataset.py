@@ -12,7 +12,7 @@ import numpy as np
 
 from gof.core.cameras import Camera
 from gof.core.datum import Datum
-from gof.core.description import FILE, CameraEntry, DatasetDescription
+from gof.core.description import FILE, CameraEntry, DatasetDescription, dataset_folder
 from gof.core.errors import DataFormatError
 from gof.core.fields import VelocitySequence
 from gof.core.files import path_in, stamp
@@ -44,12 +44,12 @@ class Dataset:
 
     @classmethod
     def open(cls, folder: str | Path) -> Dataset:
-        """Read `folder/dataset.json`.
+        """Read `folder/dataset.json`; that file may be named instead of its folder.
 
         Raises:
             DataFormatError: no dataset there, another schema or version, a missing or malformed field.
         """
-        folder = Path(folder)
+        folder = dataset_folder(Path(folder))
         description = DatasetDescription.read(folder)
         datum = description.datum
         times_s = np.asarray(description.time_s, np.float64) - datum.time_s

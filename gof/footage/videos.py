@@ -266,10 +266,16 @@ def loose_pictures(folder: Path) -> list[Path]:
 
 def videos_of_take(folder: Path) -> list[Path]:
     """Return the videos of a folder that has one for each camera, by name; none where it also holds pictures."""
-    files = sorted(f for f in Path(folder).iterdir() if not is_hidden(f) and not f.is_dir())
-    if any(f.suffix.lower() in {*PICTURES, *UNREAD} for f in files):
-        return []
-    return [f for f in files if f.suffix.lower() in VIDEOS]
+    return [] if has_pictures(folder) else [f for f in _files_in(folder) if f.suffix.lower() in VIDEOS]
+
+
+def has_pictures(folder: Path) -> bool:
+    """Return whether pictures lie in a folder, readable ones or not."""
+    return any(f.suffix.lower() in {*PICTURES, *UNREAD} for f in _files_in(folder))
+
+
+def _files_in(folder: Path) -> list[Path]:
+    return sorted(f for f in Path(folder).iterdir() if not is_hidden(f) and not f.is_dir())
 
 
 # ---- which footage it is ---------------------------------------------------------------------------------------------

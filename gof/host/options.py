@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
+from types import UnionType
+from typing import Any, Literal, Union, get_args, get_origin, get_type_hints
 
 from gof.core.errors import GofError
 
@@ -24,6 +26,36 @@ def require_number(
     bounds += [f"{least:g} or more"] if least > -math.inf else []
     bounds += [f"at most {most:g}"] if most < math.inf else []
     raise GofError(f"{flag} {value:g}: must be {' and '.join(bounds) or 'a finite number'}")
+
+
+def require_whole(flag: str, value: object, least: int) -> None:
+    """Require an integer of at least `least`, as files of settings can hold. Raises GofError: it is not (names it)."""
+    if not isinstance(value, int) or isinstance(value, bool):
+        raise GofError(f"{flag} {value!r}: must be a whole number")
+    if value < least:
+        raise GofError(f"{flag} {value}: must be {least} or more")
+
+
+def require_choice(flag: str, value: object, choices: Iterable[object]) -> None:
+    """Require one of the choices. Raises GofError: it is none (names them)."""
+    if value not in (known := list(choices)):
+        raise GofError(f"{flag} {value}: there are {', '.join(map(str, known))}")
+
+
+def require_choices(record: Any, called: Callable[[str], str]) -> None:
+    """Require in every field of a dataclass whose type is a Literal one of its choices, or None where that is allowed.
+
+    Args:
+        called: the option of a field's name.
+    Raises:
+        GofError: a field has another value (names the choices).
+    """
+    for name, hint in get_type_hints(type(record)).items():
+        parts = get_args(hint) if get_origin(hint) in (Union, UnionType) else (hint,)
+        choices = [choice for part in parts if get_origin(part) is Literal for choice in get_args(part)]
+        value = getattr(record, name)
+        if choices and not (value is None and type(None) in parts):
+            require_choice(called(name), value, choices)
 
 
 def require_positive(flag: str, value: float | None) -> None:

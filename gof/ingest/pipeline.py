@@ -11,13 +11,15 @@ import numpy as np
 
 from gof.core.cameras import Camera
 from gof.core.costs import StageLog
+from gof.core.description import FILE as DATASET
 from gof.core.drafts import remove
-from gof.core.errors import GofError
+from gof.core.errors import DataFormatError, GofError
 from gof.core.files import only_run_in
 from gof.dataset import DatasetDescription
 from gof.dataset.poses import FILE as POSES
 from gof.dataset.poses import Poses
 from gof.footage.steadying import by_number, look, steady
+from gof.footage.videos import fingerprint
 from gof.host.terminal import progress_bar
 from gof.ingest.evidence import Evidence, PoseOptions
 from gof.ingest.fire_free import PlateOptions, make_plates, outside
@@ -34,7 +36,7 @@ from gof.ingest.footage import (
 from gof.ingest.frame_times import FrameTimes, Timing
 from gof.ingest.over_time import darkest
 from gof.ingest.place import Placed, place_alone
-from gof.ingest.published import CAMERAS_FILE
+from gof.ingest.published import CAMERAS_FILE, is_published
 
 WRITTEN = ("cameras", "static", "depth", "points.ply", POSES, CAMERAS_FILE)  # names in the folder, but for records
 GIVEN = ("", "--fov", "--cameras")  # sources of lenses that a user has named, or footage that brings its own
@@ -59,10 +61,20 @@ class Ingested:
     lens: str | None = None
 
 
-def require_new(out: Path) -> None:
-    """Raise GofError: the folder holds a dataset, or files of a dataset's names that no unfinished run left."""
-    if (out / "dataset.json").exists():
-        raise GofError(f"{out}: already holds a dataset; choose another --out or remove it")
+def require_new(out: Path, overwrite: bool = False) -> None:
+    """Make sure that a dataset can be made in a folder.
+
+    Args:
+        overwrite: one that was made from footage is replaced.
+    Raises:
+        GofError: the folder holds a dataset, or files of a dataset's names that no unfinished run left.
+    """
+    if (out / DATASET).exists():
+        replaceable = footage_of(out) is not None
+        if overwrite and replaceable:
+            return
+        remedy = ", or replace it with --overwrite" if replaceable else " or remove it"
+        raise GofError(f"{out}: already holds a dataset; choose another --out{remedy}")
     there = _written_in(out)
     if there and not (out / UNFINISHED).is_file():
         raise GofError(
@@ -75,14 +87,42 @@ def _written_in(out: Path) -> list[str]:
     return [name for name in WRITTEN if (out / name).exists() or (out / name).is_symlink()]
 
 
+def footage_of(out: Path) -> list[str] | None:
+    """Return what tells the footage of a finished dataset: fingerprints of its videos, or the name of its published
+    scene; None where there is no dataset made from footage."""
+    try:
+        made_by = DatasetDescription.read(out).provenance
+    except DataFormatError:
+        return None
+    if "footage" not in made_by:
+        return None
+    if "scene" in made_by:
+        return [str(made_by["scene"])]
+    videos = made_by.get("videos")
+    return [str(v.get("fingerprint")) for v in (videos if isinstance(videos, list) else []) if isinstance(v, dict)]
+
+
+def is_made_of(out: Path, videos: Sequence[Path]) -> bool:
+    """Return whether a finished dataset was made of these videos, wherever they lie now; other options may differ.
+
+    Raises DataFormatError: a video is absent.
+    """
+    if (known := footage_of(out)) is None:
+        return False
+    return known == ([videos[0].name] if is_published(list(videos)) else [fingerprint(video) for video in videos])
+
+
 def start_afresh(out: Path) -> None:
-    """Remove what a run that was cut off left in the folder, and mark the folder as unfinished.
+    """Remove what a run that was cut off, or one that is replaced, left in the folder; mark the folder as unfinished.
 
     Its pictures may be of other frames, or of another size; none of them may get into this dataset.
     """
+    (out / UNFINISHED).touch()
+    if (out / DATASET).exists():
+        remove(out / DATASET)
+        remove(out / "costs.json")
     for name in _written_in(out):
         remove(out / name)
-    (out / UNFINISHED).touch()
 
 
 def make_dataset(
@@ -93,6 +133,7 @@ def make_dataset(
     plate: PlateOptions,
     max_size: int | None = None,
     others: tuple[Footage, ...] = (),
+    overwrite: bool = False,
 ) -> Ingested:
     """Write a dataset. Plates and poses are made from training frames only, and the dataset says so.
 
@@ -101,14 +142,18 @@ def make_dataset(
         max_size: px; the dataset's pictures with a longer side are shrunk to it. Poses are always solved at full size.
         others: more clips of the same rig; their features and boards help to find the poses, and they may show what
             burns all the time in this one.
+        overwrite: replace a dataset in `out` that was made from footage.
     Raises:
         GofError: `out` holds a dataset already, or files that it would mix with; another run is at work there; see
             the stages for what can be wrong with footage, times and poses.
     """
-    require_new(out)
+    require_new(out, overwrite)
+    for given in (*footage.videos, *([plate.folder] if plate.folder else [])) if overwrite else ():
+        if given.resolve().is_relative_to(out.resolve()):
+            raise GofError(f"{given}: lies in {out}, which --overwrite replaces; move it elsewhere first")
 
     with only_run_in(out):
-        require_new(out)
+        require_new(out, overwrite)
         start_afresh(out)
         made = _make(out, footage, timing, pose_options, plate, max_size, others)
         (out / UNFINISHED).unlink(missing_ok=True)

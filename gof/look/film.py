@@ -107,7 +107,7 @@ def make_film(
     """
     require_film(out)
     key = _key(subjects, shots, options, made_of, recorded)
-    folder = out.with_name(f"{out.name}.frames")
+    folder = frames_folder(out)
     with only_run_in(folder):
         _remove(folder, lambda name: not name.startswith(key))
         files = [folder / f"{key}_{number:05d}.png" for number in range(len(shots))]
@@ -129,6 +129,17 @@ def make_film(
         if not any(folder.iterdir()):
             folder.rmdir()
     return Film(out, len(files), len(files) - len(missing), (width, height), scales)
+
+
+def frames_folder(out: Path) -> Path:
+    """Return the folder of a film's frames, OUT.frames."""
+    return out.with_name(f"{out.name}.frames")
+
+
+def is_begun(out: Path) -> bool:
+    """Return whether frames of ours lie beside a film: of a run that was stopped, or kept."""
+    folder = frames_folder(out)
+    return folder.is_dir() and any(OURS.fullmatch(file.name) for file in folder.iterdir())
 
 
 def draw_frame(

@@ -26,6 +26,7 @@ def reconstruct(
     until: Until = "result",
     flow_weights: Path | None = None,
     anyway: bool = False,
+    overwrite: bool = False,
     **choices: Any,
 ) -> Reconstruction | None:
     """Reconstruct the flame of a dataset; a finished result in `out` is kept, an interrupted one resumed.
@@ -41,23 +42,25 @@ def reconstruct(
         until: the stage to stop after.
         flow_weights: folder of a MEMFOF checkpoint, for flow="memfof".
         anyway: go on where cameras, clocks, plates or memory look impossible.
+        overwrite: replace a reconstruction in `out` that has other settings; other files there stay.
         choices: method, scene, flow, flow_prior, ablation, seed of `gof.reconstruct.settings.ReconstructionSettings`.
     Returns:
         The reconstruction: `.path` of result.npz, `.count` of Gaussians, costs of the stages and held-out scores; None
         when stopped before the result.
     Raises:
-        GofError: an unknown preset, or see `gof.reconstruct.pipeline.reconstruct`.
+        GofError: an unknown preset, choice or stage, or see `gof.reconstruct.pipeline.reconstruct`.
         TypeError: a choice has an unknown name.
     """
     from gof.dataset import Dataset  # late: importing a room of this package stays cheap
     from gof.reconstruct.pipeline import reconstruct as run
     from gof.reconstruct.presets import effort_of, size_of
-    from gof.reconstruct.settings import ReconstructionSettings
+    from gof.reconstruct.settings import ReconstructionSettings, require_stage
 
+    require_stage(until)
     opened = dataset if isinstance(dataset, Dataset) else Dataset.open(dataset)
     effort = effort_of(preset, steps, gaussians, voxels, max_size, clip=size_of(opened))
     settings = ReconstructionSettings.of(opened, effort, flow_weights, **choices)
-    return run(opened, settings, Path(out), until, flow_weights, anyway)
+    return run(opened, settings, Path(out), until, flow_weights, anyway, overwrite)
 
 
 sys.modules[__name__].__class__ = CallablePackage

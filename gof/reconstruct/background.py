@@ -18,11 +18,12 @@ from gof.core.errors import DataFormatError, GofError
 from gof.core.files import path_in, stamp
 from gof.core.gaussians import TransientGaussians
 from gof.core.npz import read_npy
-from gof.core.records import claim
+from gof.core.records import claim, is_replaced
 from gof.dataset import Dataset
 from gof.dataset.leaks import refuse_leaks
 from gof.dataset.poses import FILE as POSES
 from gof.dataset.poses import Poses
+from gof.host.options import require_whole
 from gof.host.terminal import progress_bar
 from gof.ingest import depth as depth_maps
 from gof.ingest.stereo import stereo_depth
@@ -33,6 +34,8 @@ LEAST = (
     ("gaussians", "--gaussians", 2),
     ("longest_side", "--max-size", 16),
 )
+
+MADE = ("background.npz", "background.ply", "scene.npz", "scene.ply", "costs.json", "background.json")  # in the folder
 
 
 @dataclass(frozen=True)
@@ -57,8 +60,8 @@ class BackgroundOptions:
 
     def __post_init__(self):
         for name, option, least in LEAST:
-            if getattr(self, name) < least:
-                raise GofError(f"{option} {getattr(self, name)}: must be {least} or more")
+            require_whole(option, getattr(self, name), least)
+        require_whole("seed", self.seed, 0)
 
 
 @dataclass(frozen=True)
@@ -91,24 +94,41 @@ class BackgroundSettings:
 
     def claim(self, out: Path) -> None:
         """Write these options to `out`. Raises GofError: it holds a background made with others."""
-        claim(out / "background.json", self, out / "background.npz")
+        claim(out / "background.json", self, out / "background.npz", _option_of)
+
+    def is_replaced(self, out: Path, overwrite: bool) -> bool:
+        """Return whether `out` holds a background of other options that is to be replaced: one without a result always,
+        as none is resumed. Raises GofError: it holds one, and `overwrite` is not set."""
+        made = out / "background.npz"
+        return is_replaced(out / "background.json", self, made, overwrite or not made.exists(), _option_of)
 
 
-def make_background(folder: Path, out: Path, options: BackgroundOptions) -> TransientGaussians:
+def _option_of(field: str) -> str:
+    """Return the option of `gof background` that gives a field of the settings; the field's own name without one."""
+    return {name: option for name, option, _ in LEAST}.get(field, field)
+
+
+def make_background(folder: Path, out: Path, options: BackgroundOptions, overwrite: bool = False) -> TransientGaussians:
     """Reconstruct the still scene of a dataset: out/background.npz and .ply; a finished one there is kept.
 
+    Args:
+        overwrite: replace one made with other settings.
     Raises:
-        GofError: `out` holds one made with other settings; no depth can be had, see `plate_depths`.
+        GofError: `out` holds one made with other settings, and not `overwrite`; no depth, see `plate_depths`.
         LeakError: the plates were made from a held-out frame.
     """
     result = out / "background.npz"
     full = Dataset.open(folder)
-    BackgroundSettings.of(full, options).claim(out)
-    if result.exists():
+    settings = BackgroundSettings.of(full, options)
+    replaced = settings.is_replaced(out, overwrite)
+    if result.exists() and not replaced:
         return TransientGaussians.load(result)
     refuse_leaks(full)
     dataset = shrink(full, options.longest_side)
     plates = [dataset.static(c) for c in range(len(dataset.cameras))]
+    for name in MADE if replaced else ():
+        (out / name).unlink(missing_ok=True)
+    settings.claim(out)
     gaussians = still_gaussians(dataset, plates, options, StageLog(out / "costs.json"))
     for path in (out / "background.ply", result):  # the .npz last: it says that the result is finished
         gaussians.save(path, source=f"gof background {full.description.name}")

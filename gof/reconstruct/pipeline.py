@@ -24,7 +24,7 @@ from gof.reconstruct.methods import METHODS, Method
 from gof.reconstruct.optical_flow import flow_method
 from gof.reconstruct.presets import REST_S, seeing_s, step_ms
 from gof.reconstruct.run_inputs import uses_flow_prior
-from gof.reconstruct.settings import ReconstructionSettings, Until
+from gof.reconstruct.settings import ReconstructionSettings, Until, require_stage
 from gof.reconstruct.shrink import shrink
 from gof.render.backend import kernels
 
@@ -38,6 +38,7 @@ def reconstruct(
     until: Until = "result",
     flow_weights: Path | None = None,
     anyway: bool = False,
+    overwrite: bool = False,
 ) -> stages.Reconstruction | None:
     """Run the stages up to `until`; a finished result is kept, an interrupted optimisation resumed.
 
@@ -46,6 +47,8 @@ def reconstruct(
         out: folder of the reconstruction, for these settings alone.
         flow_weights: folder of a MEMFOF checkpoint, for the flow "memfof".
         anyway: go on where cameras, clocks, plates or memory look impossible.
+        overwrite: replace a reconstruction with other settings; its files alone go, once this one is known to be
+            possible.
     Returns:
         None when stopped before the result.
     Raises:
@@ -54,13 +57,16 @@ def reconstruct(
             has too little memory; or see the stages.
         LeakError: the dataset's plates, or what lies in `out`, were made from a frame that is held out.
     """
+    require_stage(until)
     refuse_leaks(dataset)
     with only_run_in(out):
-        refuse_leaked_work(out, dataset)
-        settings.claim(out)
-        finished = stages.Reconstruction.find(out)
-        if finished is not None:
-            return finished
+        replaced = overwrite and settings.is_replaced(out, overwrite)
+        if not replaced:
+            refuse_leaked_work(out, dataset)
+            settings.is_replaced(out, overwrite)
+            finished = stages.Reconstruction.find(out)
+            if finished is not None:
+                return finished
         small = shrink(dataset, settings.longest_side)
         flow = flow_method(settings.flow, flow_weights)
         _require_motion(small)
@@ -69,6 +75,9 @@ def reconstruct(
         left = TimeLeft(Paces.known().expected_s(parts, machine))
         run = stages.ReconstructionRun(small, settings, method, flow, out, StageLog(out / "costs.json"), left)
         _require_possible(run, anyway)
+        if replaced:
+            stages.remove_made(out)
+        settings.claim(out)
         begun_before = run.log.path.exists()
         made = _run_stages(run, until)
         if made is not None and not begun_before:

@@ -9,8 +9,8 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
-from gof.core.errors import GofError
 from gof.core.ladder import preset
+from gof.host.options import require_whole
 
 if TYPE_CHECKING:
     from gof.dataset import Dataset
@@ -31,7 +31,7 @@ class Effort:
         longest_side: of the pictures, px; larger ones are shrunk.
 
     Raises:
-        GofError: one of them is below its least.
+        GofError: one of them is no whole number, or below its least.
     """
 
     iterations: int
@@ -41,8 +41,7 @@ class Effort:
 
     def __post_init__(self):
         for name, least in LEAST.items():
-            if getattr(self, name) < least:
-                raise GofError(f"{FLAGS[name]} {getattr(self, name)}: must be {least} or more")
+            require_whole(FLAGS[name], getattr(self, name), least)
 
 
 PRESETS: dict[str, Effort] = {
@@ -72,7 +71,7 @@ def effort_of(
     Args:
         clip: how many frames there are to learn from, and cameras.
     Raises:
-        GofError: there is no preset of that name, or a figure is below its least.
+        GofError: there is no preset of that name, or a figure is no whole number or below its least.
     """
     given = {"iterations": steps, "gaussians": gaussians, "voxels": voxels, "longest_side": max_size}
     effort = preset(name, PRESETS, FORMER)

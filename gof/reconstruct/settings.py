@@ -4,20 +4,42 @@ from __future__ import annotations
 
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Any, ClassVar, Literal
+from typing import Any, ClassVar, Literal, get_args
 
 from gof.core.errors import GofError
 from gof.core.files import digest, stamp
-from gof.core.records import claim
+from gof.core.records import claim, is_replaced
 from gof.dataset import Dataset
+from gof.host.options import require_choice, require_choices, require_whole
 from gof.reconstruct.ablations import Ablation
 from gof.reconstruct.flow_prior import WEIGHTS
 from gof.reconstruct.methods import METHODS, MethodName, SceneName
 from gof.reconstruct.optical_flow import FlowName
-from gof.reconstruct.presets import Effort
+from gof.reconstruct.presets import FLAGS, LEAST, Effort
 
 FILE = "settings.json"
 Until = Literal["motion", "flow-field", "seeds", "result"]  # the stages that a reconstruction can stop after
+
+
+OPTIONS = FLAGS | {
+    "method": "--method",
+    "scene": "--scene",
+    "flow": "--flow",
+    "flow_weights": "--flow-weights",
+    "flow_prior": "--no-flow-prior",
+    "ablation": "--ablation",
+    "seed": "--seed",
+}
+
+
+def require_stage(until: str) -> None:
+    """Raise GofError: no stage of that name to stop after (names those that there are)."""
+    require_choice("--until", until, get_args(Until))
+
+
+def option_of(field: str) -> str:
+    """Return the option of `gof reconstruct` that gives a field of the settings; the field's own name without one."""
+    return OPTIONS.get(field, field)
 
 
 @dataclass(frozen=True)
@@ -37,7 +59,8 @@ class ReconstructionSettings:
         seed: of the seeding and of the order of pictures.
 
     Raises:
-        GofError: the seed is negative, or the ablation and the scene do not go together.
+        GofError: a choice that there is not (names those that there are), a number that is no whole one or too small,
+            or an ablation and a scene that do not go together.
     """
 
     SCHEMA: ClassVar[str] = "gof-reconstruction-settings"
@@ -58,8 +81,9 @@ class ReconstructionSettings:
     seed: int = 0
 
     def __post_init__(self):
-        if self.seed < 0:
-            raise GofError(f"--seed {self.seed}: must be 0 or more")
+        require_choices(self, option_of)
+        for name, least in (LEAST | {"seed": 0}).items():
+            require_whole(option_of(name), getattr(self, name), least)
         if self.ablation == "joint-opt" and self.scene == "gaussians":
             raise GofError("--ablation joint-opt moves the plates' pixels; it goes with --scene plates")
 
@@ -71,6 +95,7 @@ class ReconstructionSettings:
 
         Where they name no scene, it is the method's.
         """
+        require_choice("--method", choices.get("method", "gof"), METHODS)
         if choices.get("scene") is None:
             choices["scene"] = METHODS[choices.get("method", "gof")].scene
         weights = None if flow_weights is None else stamp(flow_weights, ("config.json", "model.safetensors"))
@@ -83,4 +108,12 @@ class ReconstructionSettings:
         Raises:
             GofError: it holds a reconstruction with other settings, or one of an older version.
         """
-        claim(folder / FILE, self, folder / "result.npz")
+        claim(folder / FILE, self, folder / "result.npz", option_of)
+
+    def is_replaced(self, folder: Path, overwrite: bool) -> bool:
+        """Return whether the folder holds a reconstruction with other settings that is to be replaced.
+
+        Raises:
+            GofError: as `claim`, unless `overwrite` and a reconstruction of ours is there.
+        """
+        return is_replaced(folder / FILE, self, folder / "result.npz", overwrite, option_of)

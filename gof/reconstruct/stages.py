@@ -15,15 +15,20 @@ import numpy as np
 
 from gof.core.cameras import in_words
 from gof.core.costs import StageCost, StageLog
+from gof.core.files import path_in
 from gof.core.gaussians import TransientGaussians
 from gof.core.time_left import TimeLeft
 from gof.dataset import Dataset
+from gof.dataset.leaks import FILE as MADE_FROM
 from gof.dataset.leaks import MadeFrom
 from gof.dataset.plates import save_plates
 from gof.host.terminal import progress_bar
 from gof.reconstruct import ablations, stage_images
 from gof.reconstruct.background import BackgroundOptions, still_gaussians
+from gof.reconstruct.captions import FILE as CAPTIONS
+from gof.reconstruct.captions import Captions
 from gof.reconstruct.checkpoint import Spent, read_spent
+from gof.reconstruct.curve import FILE as CURVE
 from gof.reconstruct.curve import Curve, CurveLog, CurvePoint
 from gof.reconstruct.flow_field import FlowField
 from gof.reconstruct.gas import look_up_gas
@@ -35,12 +40,26 @@ from gof.reconstruct.optimize import Schedule, Units, optimize
 from gof.reconstruct.presets import STILL_STEPS
 from gof.reconstruct.run_inputs import flow_field_of, observation_of, uses_flow_prior
 from gof.reconstruct.seeds import LIFETIME_FRAMES, lifetime_s, sample_seeds
+from gof.reconstruct.settings import FILE as SETTINGS
 from gof.reconstruct.settings import ReconstructionSettings
 from gof.reconstruct.shrink import enlarge
 from gof.reconstruct.surroundings import Plates, StillScene, Surroundings
 from gof.reconstruct.unseen import find_compact_flame, imagine_views
 from gof.reconstruct.windows import Windows
 from gof.render.backend import threads_for
+
+FILES = (  # that a reconstruction writes into its folder, beside plates and stages; the last says whose folder it is
+    "result.npz",
+    "result.ply",
+    "snapshot.npz",
+    "checkpoint.npz",
+    "seeds.npz",
+    "background.npz",
+    CURVE,
+    "costs.json",
+    MADE_FROM,
+    SETTINGS,
+)
 
 
 @dataclass(frozen=True)
@@ -280,6 +299,18 @@ def save(
     _checkpoint(run).unlink(missing_ok=True)
     _snapshot(run).unlink(missing_ok=True)
     return Reconstruction(path, len(gaussians), run.log.stages(), curve.points[-1])
+
+
+def remove_made(out: Path) -> None:
+    """Remove the files that a reconstruction has written into a folder, by the names that it wrote down; no other."""
+    made = MadeFrom.read(out)
+    plates = [name for name in (made.files if made else ()) if name.startswith("plates/")]
+    pictures = [f"stages/{image.file}" for image in Captions.read(out / "stages").images]
+    for name in (*pictures, f"stages/{CAPTIONS}", *plates, *FILES):
+        path_in(out, name).unlink(missing_ok=True)
+    for folder in (out / "plates", out / "stages"):
+        if folder.is_dir() and not any(folder.iterdir()):
+            folder.rmdir()
 
 
 def _checkpoint(run: ReconstructionRun) -> Path:

@@ -59,6 +59,62 @@ def test_a_take_that_fails_does_not_end_the_others(tmp_path, capsys):
     assert ["error" in run for run in json.loads(figures.read_text())["runs"]] == [False, True, False]
 
 
+def test_a_stopped_command_keeps_the_takes_that_are_finished(tmp_path, capsys):
+    """Of the same videos; others in a finished dataset's place are refused, and --overwrite makes all anew."""
+    options = write_takes(tmp_path)
+    takes = [str(tmp_path / "takes" / name) for name in ("one", "two")]
+    asked = ["ingest", *takes, "--out", str(tmp_path / "data"), *options, "--json", str(tmp_path / "figures.json")]
+    assert cli.main(asked) == 0
+    made = tmp_path / "data/one/dataset.json"
+    before = made.stat().st_mtime_ns
+    capsys.readouterr()
+    assert cli.main(asked) == 0
+    assert "data/one: is there already" in words(capsys) and made.stat().st_mtime_ns == before
+    runs = json.loads((tmp_path / "figures.json").read_text())["runs"]
+    assert [run["dataset"] for run in runs] == [str(tmp_path / "data" / name) for name in ("one", "two")]
+    (tmp_path / "takes/one/c0.mp4").unlink()
+    write_video(tmp_path / "takes/one/c0.mp4", [picture(0, moment + 5) for moment in range(8)])
+    assert cli.main(asked) == 1
+    assert "already holds a dataset; choose another --out, or replace it with --overwrite" in words(capsys)
+    of_itself = ["ingest", takes[1], "--out", str(tmp_path / "data/two"), *options, "--overwrite"]
+    assert cli.main([*of_itself, "--plates", str(tmp_path / "data/two/static")]) == 1
+    assert "static: lies in" in words(capsys) and (tmp_path / "data/two/dataset.json").is_file()
+    (tmp_path / "data/two/notes.txt").write_text("windy")
+    (tmp_path / "data/two/costs.json").write_text("of the run before")
+    assert cli.main([*asked, "--overwrite"]) == 0
+    assert made.stat().st_mtime_ns > before and (tmp_path / "data/two/notes.txt").read_text() == "windy"
+
+
+def test_a_dataset_of_another_kind_is_not_replaced(tiny_dataset, tmp_path, capsys):
+    """By --overwrite go datasets made of footage alone: this one has a truth that footage has not."""
+    options = write_takes(tmp_path, ("one",))
+    description = (tiny_dataset / "dataset.json").read_bytes()
+    words_given = ["ingest", str(tmp_path / "takes/one"), "--out", str(tiny_dataset), *options, "--overwrite"]
+    assert cli.main(words_given) == 1
+    assert "already holds a dataset" in words(capsys)
+    assert (tiny_dataset / "dataset.json").read_bytes() == description
+
+
+@pytest.mark.parametrize(
+    ("given", "error"),
+    [
+        (["takes/one", "takes/none"], "takes/none: holds no videos"),
+        (["takes/one", "nope"], "nope: no such folder"),
+        (["takes/mixed", "takes/one"], "takes/mixed: holds pictures, but takes/one"),
+        (["takes/one", "takes/two/c0.mp4"], "takes/two/c0.mp4: is a file"),
+        (["takes"], "takes: holds folders with videos, as one; give these: takes/*"),
+    ],
+)
+def test_the_word_that_is_no_take_is_named(tmp_path, capsys, monkeypatch, given, error):
+    options = write_takes(tmp_path, ("one", "two", "mixed"))
+    (tmp_path / "takes/none").mkdir()
+    (tmp_path / "takes/mixed/board.png").write_bytes(b"a picture of the board")
+    monkeypatch.chdir(tmp_path)
+    assert cli.main(["ingest", *given, "--out", "data", *options]) == 1
+    told = words(capsys)
+    assert error in told and "takes/one:" not in told and datasets(tmp_path) == []
+
+
 @pytest.mark.parametrize(
     ("option", "words_of_it"), [("--points", ["marks.json"]), ("--start", ["0", "1"]), ("--times", ["sync/times.json"])]
 )

@@ -235,7 +235,7 @@ def test_another_methods_gaussians_are_not_helped_by_our_plate(made, capsys):
     """They may be the whole scene: `gof evaluate` draws them over black, and so does a film."""
     assert gof(["convert", str(made / "fire.npz"), str(made / "theirs.ftgs.ply")]) == 0
     asked = ["video", str(made / "theirs.ftgs.ply"), "--dataset", str(made / "data"), "--camera-path", "camera"]
-    asked += ["--panels", "rgb", "--out", str(made / "b.png")]
+    asked += ["--panels", "rgb", "--out", str(made / "b.png"), "--overwrite"]
     for words, said, level in (([], "may be the whole scene", 0), (["--flame-only"], "the plate of", 64)):
         assert gof(["convert", str(made / "theirs.ftgs.ply"), "--time-unit", "0.2", *words, "--overwrite"]) == 0
         assert gof(asked) == 0
@@ -288,6 +288,19 @@ def test_command_refuses_by_name(made, words, said, capsys, monkeypatch):
     monkeypatch.chdir(made)
     assert gof(["video", "fire.npz", "--dataset", "data", *words]) != 0
     assert said in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("name", ["mine.mp4", "mine.png"])
+def test_command_keeps_a_file_that_a_user_named(made, name, capsys):
+    """A film of a camera, say. One that this command was about to write again, from frames beside it, goes on."""
+    (made / name).write_bytes(b"of a camera")
+    asked = ["video", str(made / "fire.npz"), "--mode", "freeze", "--panels", "rgb", "--max-size", "32"]
+    asked += ["--style", "seconds=0.1", "keep_frames", "--out", str(made / name)]
+    assert gof(asked) == 1
+    assert "is there already" in capsys.readouterr().err and (made / name).read_bytes() == b"of a camera"
+    assert gof([*asked, "--overwrite"]) == 0 and (made / name).read_bytes() != b"of a camera"
+    capsys.readouterr()
+    assert gof(asked) == 0 and "were there already" in capsys.readouterr().out
 
 
 def test_command_without_a_dataset_goes_around_and_nothing_else(made, capsys):

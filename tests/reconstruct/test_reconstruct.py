@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from gof.commands.cli import main as gof
 from gof.commands.reconstruct import main
 from gof.core.costs import StageLog
 from gof.core.errors import DataFormatError, GofError, NonFiniteError
@@ -89,8 +90,38 @@ def test_a_finished_result_is_kept_and_other_settings_are_refused(rising_flame, 
     before = result.stat().st_mtime_ns
     assert reconstruct(rising_flame, result.parent) == result
     assert result.stat().st_mtime_ns == before
-    with pytest.raises(GofError, match=r"iterations differ"):
+    with pytest.raises(GofError, match=r"--steps differ"):
         reconstruct(rising_flame, result.parent, iterations=7)
+
+
+def test_a_run_that_cannot_be_leaves_its_folder_free(rising_flame, tmp_path, capsys):
+    """Its error says which options need less; with these the command goes on in the same folder."""
+    out = tmp_path / "o"
+    words = [str(rising_flame), "--out", str(out), "--steps", "5", "--gaussians", "100", "--until", "motion"]
+    assert gof(["reconstruct", *words, "--voxels", "5000"]) == 1
+    assert "need less" in capsys.readouterr().err and not (out / "settings.json").exists()
+    assert gof(["reconstruct", *words, "--voxels", "24"]) == 0
+
+
+def test_overwrite_replaces_a_reconstruction_and_nothing_else_in_its_folder(rising_flame, tmp_path, capsys):
+    out = tmp_path / "o"
+    words = ["reconstruct", str(rising_flame), "--out", str(out), "--gaussians", "300", "--voxels", "24"]
+    words += ["--no-flow-prior", "--until", "seeds"]
+    assert gof([*words, "--steps", "5"]) == 0
+    (out / "notes.txt").write_text("windy")
+    (out / "stages/mine.png").write_bytes(b"mine")
+    (out / "snapshot.npz").write_bytes(b"of the run before")
+    (out / "curve.json").write_bytes(b"of the run before")
+    assert gof([*words, "--steps", "6"]) == 1
+    assert "--steps differ" in capsys.readouterr().err and (out / "snapshot.npz").exists()
+    assert gof([*words, "--steps", "6", "--voxels", "5000", "--overwrite"]) == 1
+    assert (out / "snapshot.npz").exists(), "what cannot be made replaces nothing"
+    assert gof([*words, "--steps", "6", "--until", "motion", "--overwrite"]) == 0
+    assert {path.relative_to(out).as_posix() for path in out.rglob("*") if path.is_file()} == {
+        *(".lock", "notes.txt", "stages/mine.png", "settings.json", "costs.json", "made_from.json"),
+        *("stages/1_masks.png", "stages/2_optical_flow.png", "stages/captions.json"),
+    }
+    assert read_record(ReconstructionSettings, out / "settings.json").iterations == 6
 
 
 def test_what_is_returned_is_what_is_on_disk(rising_flame, result):

@@ -1,11 +1,12 @@
 """settings.json, curve.json and captions.json: what is written is read, and what is older is refused by name."""
 
 import json
-from dataclasses import replace
+from dataclasses import fields, replace
 
 import pytest
 
 from gof.core.errors import DataFormatError, GofError
+from gof.core.records import read_record
 from gof.reconstruct.captions import Caption, Captions
 from gof.reconstruct.curve import Curve, CurveLog, CurvePoint, HeldOutScores
 from gof.reconstruct.settings import ReconstructionSettings
@@ -16,14 +17,43 @@ SETTINGS = ReconstructionSettings("flame", iterations=10, gaussians=20, voxels=3
 def test_a_folder_belongs_to_one_set_of_settings(tmp_path):
     SETTINGS.claim(tmp_path)
     SETTINGS.claim(tmp_path)
-    with pytest.raises(GofError, match=r"flow_prior, seed differ\); choose another --out"):
+    with pytest.raises(GofError, match=r"was begun with .*\(--no-flow-prior, --seed differ\); choose another --out"):
         replace(SETTINGS, seed=6, flow_prior=False).claim(tmp_path)
+    (tmp_path / "result.npz").write_bytes(b"")
+    with pytest.raises(GofError, match=r"result\.npz there is made with other settings \(--steps differ\)"):
+        replace(SETTINGS, iterations=11).claim(tmp_path)
+
+
+def test_a_folder_with_other_settings_is_replaced_by_overwrite_alone(tmp_path):
+    other = replace(SETTINGS, longest_side=41)
+    assert not SETTINGS.is_replaced(tmp_path, overwrite=True), "nothing is there"
+    SETTINGS.claim(tmp_path)
+    assert not SETTINGS.is_replaced(tmp_path, overwrite=True), "it goes on"
+    assert other.is_replaced(tmp_path, overwrite=True)
+    with pytest.raises(GofError, match=r"--max-size differ\); .*replace it with --overwrite"):
+        other.is_replaced(tmp_path, overwrite=False)
+    assert read_record(ReconstructionSettings, tmp_path / "settings.json") == SETTINGS, "asking writes nothing"
+    (tmp_path / "settings.json").write_text(json.dumps({"mine": 1}))
+    with pytest.raises(GofError, match="choose another --out or remove the folder"):
+        other.is_replaced(tmp_path, overwrite=True)
+
+
+def test_options_are_named_as_they_are_typed():
+    """A field of the settings without an option of that name keeps its own."""
+    from gof.commands.declared import options_of
+    from gof.commands.reconstruct import ReconstructConfig
+    from gof.reconstruct.settings import option_of
+
+    typed = {option.name for option in options_of(ReconstructConfig)}
+    named = {option_of(field.name) for field in fields(ReconstructionSettings)}
+    assert {name for name in named if name.startswith("--")} <= typed
+    assert {name for name in named if not name.startswith("--")} == {"dataset", "flow_prior_weights"}
 
 
 def test_settings_of_an_older_version_are_refused_by_name(tmp_path):
     old = {"gaussians": 20, "iterations": 10, "voxels": 30, "dataset": "flame"}
     (tmp_path / "settings.json").write_text(json.dumps(old))
-    with pytest.raises(GofError, match=r"settings\.json.*made by an older version: choose another --out"):
+    with pytest.raises(GofError, match=r"settings\.json.*made by an older version; choose another --out"):
         SETTINGS.claim(tmp_path)
 
 
