@@ -76,7 +76,7 @@ def main(argv: list[str]) -> int:
     results = collect(config.folders)
     if config.out is not None:
         require_free(config.out / "leaderboard.json")
-    folder = config.out or require_writable(config.folders[0].absolute().parent) / "leaderboard"
+    folder = config.out or require_writable(results[0].folder.absolute().parent) / "leaderboard"
     rows = rows_of(results)
     dataset = Dataset.open(config.dataset) if config.dataset else None
     streams = stream_plots(results, dataset, config.time) if dataset else []
