@@ -61,6 +61,8 @@ def reconstruct(
         finished = stages.Reconstruction.find(out)
         if finished is not None:
             return finished
+        read = None if until == "result" else dataset.train_frames  # held-out pictures choose the step that is kept
+        dataset.require_files(("rgb", "static"), ("train", "eval") if read is None else ("train",), read)
         small = shrink(dataset, settings.longest_side)
         flow = flow_method(settings.flow, flow_weights)
         _require_motion(small)
