@@ -103,7 +103,7 @@ class Timing:
             )
 
     def require_fitting(self, cameras: int, made: bool = True) -> None:
-        """Look at all that can be told before a video is read.
+        """Check all that is known before a video is read.
 
         Args:
             made: whether the file of times is there already.
