@@ -1,6 +1,7 @@
 """Velocity fields against closed forms and scipy, and the chunked store."""
 
 import json
+import shutil
 
 import numpy as np
 import pytest
@@ -148,3 +149,69 @@ def test_nan_and_inf_are_seen_in_half_precision(value):
     cells = np.zeros((3, 4, 5), np.float16)
     cells[1, 2, 3] = value
     assert _all_finite(cells) == np.isfinite(value) == _all_finite(cells.astype(np.float32))
+
+
+def moving_store(path, speeds, older=False):
+    """A store of one field per speed, of which a still one is all zero; `older`: as versions before wrote it."""
+    fields = [VelocityField.from_array(np.full((2, 2, 2, 3), v), (0, 0, 0), 1.0, 0.1 * k) for k, v in enumerate(speeds)]
+    VelocitySequence.create(path, fields)
+    if older:
+        forget_every_frame(path)
+        for k, speed in enumerate(speeds):
+            if not speed:
+                shutil.rmtree(path / f"c/{k}")
+    return path
+
+
+def forget_every_frame(path):
+    described = json.loads((path / "zarr.json").read_text())
+    del described["attributes"]["every_frame_stored"]
+    (path / "zarr.json").write_text(json.dumps(described))
+
+
+@pytest.mark.parametrize("lost", [[0], [1], [3], [0, 1, 2, 3]], ids=str)
+def test_a_frame_without_its_chunks_is_lost_and_not_at_rest(tmp_path, lost):
+    store = moving_store(tmp_path / "v.zarr", [0, 0, 3, 4])
+    assert not VelocitySequence.open(store).frame(1).velocity.any(), "still air is stored, and read"
+    for k in lost:
+        shutil.rmtree(store / f"c/{k}")
+    with pytest.raises(DataFormatError, match=rf"v\.zarr: frame {lost[0]} has none of its chunks.*copy it again"):
+        VelocitySequence.open(store)
+
+
+def test_an_emptied_folder_of_a_frame_is_a_lost_frame(tmp_path):
+    store = moving_store(tmp_path / "v.zarr", [1, 2, 3])
+    (store / "c/1/0/0/0/0").rename(store / "c/1/0/0/0/.0.part")
+    with pytest.raises(DataFormatError, match="frame 1 has none"):
+        VelocitySequence.open(store)
+
+
+def test_older_and_foreign_stores_begin_at_rest_but_never_stop_in_between(tmp_path):
+    store = VelocitySequence.open(moving_store(tmp_path / "begins.zarr", [0, 0, 3], older=True))
+    assert not store.frame(0).velocity.any() and store.frame(2).velocity.all()
+    for name, speeds in [("between", [0, 2, 0, 3]), ("ends", [0, 2, 0, 0]), ("never", [0, 0])]:
+        with pytest.raises(DataFormatError, match="has none of its chunks"):
+            VelocitySequence.open(moving_store(tmp_path / name, speeds, older=True))
+
+
+@pytest.mark.parametrize("separator", ["/", "."])
+def test_stores_of_the_zarr_library_with_frames_in_one_chunk_are_read(tmp_path, separator):
+    zarr = pytest.importorskip("zarr", minversion="3")
+    shape = (5, 2, 2, 2, 3)
+    attributes = {"schema": "gof-velocity", "version": 1, "units": "m/s", "layout": "cell_centred"}
+    attributes |= {"index_to_world": np.eye(4).tolist(), "time_s": [0, 1, 2, 3, 4]}
+    array = zarr.create_array(
+        str(tmp_path / "v"),
+        shape=shape,
+        chunks=(2, 2, 2, 2, 3),
+        dtype="f4",
+        compressors=zarr.codecs.GzipCodec(),
+        chunk_key_encoding={"name": "default", "separator": separator},
+        attributes=attributes,
+    )
+    array[3:] = 1.0
+    store = VelocitySequence.open(tmp_path / "v")
+    assert [bool(store.frame(k).velocity.any()) for k in range(5)] == [False, False, False, True, True]
+    shutil.rmtree(tmp_path / "v/c/2") if separator == "/" else (tmp_path / "v/c.2.0.0.0.0").unlink()
+    with pytest.raises(DataFormatError, match="frame 4 has none"):
+        VelocitySequence.open(tmp_path / "v")

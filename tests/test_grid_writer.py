@@ -1,6 +1,7 @@
 """The writer of grids against the zarr package, and its behaviour when interrupted or misused."""
 
 import json
+import shutil
 
 import numpy as np
 import pytest
@@ -176,4 +177,17 @@ def test_still_air_is_a_valid_array(tmp_path):
     store.finish()
     array = zarr.open_array(str(tmp_path / "velocity.zarr"), mode="r")
     assert not array[:].any()
-    assert not (tmp_path / "velocity.zarr" / "c").exists()
+    files = [p for p in (tmp_path / "velocity.zarr" / "c").rglob("*") if p.is_file()]
+    assert len(files) == 1, "of a frame at rest one chunk is stored: without any it is a lost one"
+    assert array.attrs["every_frame_stored"]
+
+
+def test_a_store_that_a_version_before_began_does_not_vouch_for_its_frames(tmp_path):
+    path, still = tmp_path / "velocity.zarr", np.zeros((*GRID, 3))
+    store = writer(path)
+    for frame in range(3):
+        store.write_frame(frame, (velocity(frame) if frame else still).__getitem__)
+    shutil.rmtree(tmp_path / "velocity.zarr.partial/c/0")  # as that version left out a frame at rest
+    assert "every_frame_stored" not in writer(path).finish()
+    assert not VelocitySequence.open(path).frame(0).velocity.any()
+    assert writer(path).finished, "generated again, it is kept"

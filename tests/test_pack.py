@@ -16,8 +16,11 @@ from gof.commands import pack as pack_command
 from gof.commands import unpack as unpack_command
 from gof.commands.cli import main
 from gof.core.errors import DataFormatError, GofError
+from gof.core.grid_writer import GridWriter, scalar
 from gof.dataset import Dataset
-from gof.dataset.pack import VelocityFingerprint, files_of, pack, unpack, verify
+from gof.dataset.pack import VelocityFingerprint, files_of, pack, read_credit, unpack, verify
+from gof.reconstruct import pipeline
+from gof.reconstruct.settings import ReconstructionSettings
 from tests.evaluate.synthetic_flame import flame_dataset
 
 
@@ -226,3 +229,49 @@ def test_all_that_is_missing_is_named_at_once_with_a_command_that_works(tiny_dat
     program, *words = shlex.split(said.split("For example: ")[1])
     assert program == "gof" and main(words) == 0
     assert [path.suffix for path in sorted(out.iterdir())] == [".tar", ".sha256"]
+
+
+@pytest.mark.parametrize("name", ["cameras/cam_1/rgb/000003.png", "static/cam_0.png"])
+def test_a_dataset_with_files_missing_is_not_packed_nor_reconstructed(dataset, tmp_path, name):
+    folder = shutil.copytree(dataset.path, tmp_path / "fire")
+    assert (folder / name).is_file()
+    (folder / name).unlink()
+    copied = Dataset.open(folder)
+    with pytest.raises(DataFormatError, match=f"{name}: no such file, which dataset.json names"):
+        pack(copied, tmp_path / "out", "CC0-1.0", ("A",))
+    assert not list((tmp_path / "out").rglob("*"))
+    with pytest.raises(DataFormatError, match=f"{name}: no such file"):
+        pipeline.reconstruct(copied, ReconstructionSettings(copied.identity(), 10, 500, 20, 64), tmp_path / "run")
+    assert not (tmp_path / "run/observation.npz").exists()
+    (folder / "cameras/cam_0/rgb/000000.png").unlink()
+    with pytest.raises(DataFormatError, match="and 1 more files"):
+        pack(copied, tmp_path / "out", "CC0-1.0", ("A",))
+
+
+def test_a_grid_that_lost_a_frame_is_not_packed(dataset, tmp_path):
+    folder = shutil.copytree(dataset.path, tmp_path / "fire")
+    times = dataset.velocity.times_s
+    writer = GridWriter(folder / "grids/flame.zarr", (2, 2, 2), np.eye(4), times, 1.0, "float32", scalar("flame"))
+    for frame in range(len(times)):
+        writer.write_frame(frame, np.zeros((2, 2, 2)).__getitem__)
+    writer.finish()
+    pack(Dataset.open(folder), tmp_path / "out", "CC0-1.0", ("A",))
+    shutil.rmtree(folder / "grids/flame.zarr/c/2")
+    with pytest.raises(DataFormatError, match=r"flame\.zarr: frame 2 has none of its chunks"):
+        pack(Dataset.open(folder), tmp_path / "again", "CC0-1.0", ("A",))
+
+
+def test_words_of_the_authors_stand_below_the_card_however_often_it_is_packed(dataset, tmp_path):
+    folder, words = shutil.copytree(dataset.path, tmp_path / "a/fire"), "# Ours\n\nPlease cite us.\n"
+    (folder / "README.md").write_text(words)
+    cards = []
+    for place in ("b", "c"):
+        archive = pack(Dataset.open(folder), tmp_path / place, "CC0-1.0", ("A",))
+        folder = unpack(archive, tmp_path / place)
+        cards.append((folder / "README.md").read_text())
+    assert cards[0] == cards[1] and cards[0].startswith("---\nlicense:") and cards[0].endswith(words)
+    assert read_credit(folder) == "Made by A. Licence: CC0-1.0."
+    assert verify(folder) == len(files_of(folder)) + 1
+    (folder / "README.md").write_bytes(b"\xff\xfe")
+    with pytest.raises(DataFormatError, match=r"README\.md: no text in UTF-8"):
+        pack(Dataset.open(folder), tmp_path / "d", "CC0-1.0", ("A",))

@@ -68,7 +68,7 @@ def test_the_library_reads_what_was_written(tmp_path, dtype):
         array.write(frame, wanted[frame])
     store = zarr.open_array(str(tmp_path / "a"), mode="r")
     np.testing.assert_array_equal(store[:], wanted)
-    assert dict(store.attrs) == {"time_s": [0.0, 0.5]} and store.chunks == (1, 4, 4, 3)
+    assert dict(store.attrs) == {"time_s": [0.0, 0.5], "every_frame_stored": True} and store.chunks == (1, 4, 4, 3)
     assert store.nchunks_initialized == 2 * 3 * 2 - 1, "one chunk is all zero"
     with pytest.raises(ValueError, match="is not a frame of"):
         array.write(0, wanted)

@@ -11,6 +11,7 @@ import tyro
 from gof.commands.everywhere import may_overwrite, next_to, write_figures
 from gof.commands.read import Pixels, read_options
 from gof.core.costs import StageLog
+from gof.look.player.opened import open_result
 from gof.reconstruct.background import BackgroundOptions, add_flame, make_background
 
 
@@ -41,11 +42,12 @@ class BackgroundConfig:
 def main(argv: list[str]) -> int:
     """`gof background DATASET [--out DIR]`; see --help."""
     config = read_options(BackgroundConfig, "background", argv)
+    flame = None if config.flame is None else open_result(config.flame).gaussians  # refused before the work
     options = BackgroundOptions(config.steps, config.gaussians, config.max_size)
     out = config.out or next_to(config.dataset, "_background")
     gaussians = make_background(config.dataset, out, options, may_overwrite())
-    if config.flame is not None:
-        add_flame(gaussians, config.flame, out)
+    if flame is not None:
+        add_flame(gaussians, flame, out)
     stages = StageLog(out / "costs.json").stages()
     result = out / "background.npz"
     summary = {"result": str(result), "gaussians": len(gaussians), "stages": [asdict(s) for s in stages]}

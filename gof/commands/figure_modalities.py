@@ -116,5 +116,7 @@ def even(count: int, most: int) -> int:
 
 def run_folder(path: Path) -> Path:
     """Return the folder of the reconstruction that a user means by it, or by a demo's folder."""
+    if path.is_file() and (path.parent / "settings.json").is_file():  # its result.npz
+        return path.parent
     inner = path / "reconstruct"
     return inner if not (path / "settings.json").is_file() and (inner / "settings.json").is_file() else path

@@ -12,12 +12,13 @@ from gof.commands.everywhere import next_to, require_free, write_figures
 from gof.commands.read import Inches, Seconds, read_options
 from gof.commands.video import camera_number
 from gof.dataset import Dataset
+from gof.dataset.plates import has_own_plate
 from gof.host.options import require_number
 from gof.host.terminal import console
 from gof.look.charts import require_figure
 from gof.look.comparison import Moment, fire_removal
 from gof.look.paper import WIDTH_IN, write_sheet
-from gof.look.player.opened import newest
+from gof.look.player.opened import require_result
 from gof.look.tiles import facts
 
 
@@ -56,16 +57,24 @@ def main(argv: list[str]) -> int:
     require_free(*config.out)
     files = config.out or (next_to(config.dataset, "_removal.pdf"),)
     require_figure(*files)
+    result = None if config.result is None else require_result(config.result)
     dataset = Dataset.open(config.dataset)
     everyone = range(len(dataset.cameras))
     cameras = list(everyone) if config.camera is None else [camera_number(config.camera, dataset)]
     moment = Moment.near(dataset, cameras[len(cameras) // 2], config.time)
-    result = None if config.result is None else newest(config.result)
     rows = fire_removal(dataset, moment.frame, cameras, result)
     out = console()
     out.print(f"frame {moment.frame} at {moment.time_s:.4f} s")
+    bare = (
+        []
+        if result is None
+        else [dataset.cameras[c].name for c in cameras if not has_own_plate(result, dataset.cameras[c].name)]
+    )
+    notes = [f"{result} has no plates of its own beside it for {', '.join(bare)}: the dataset's are shown"] * bool(bare)
+    for note in notes:
+        out.print("note:", note, style="yellow")
     for file in files:
         write_sheet(file, rows, config.width_in)
         out.print(f"{file}: {len(cameras)} cameras")
-    write_figures({"frame": moment.frame} | facts(rows))
+    write_figures({"frame": moment.frame, "notes": notes} | facts(rows))
     return 0

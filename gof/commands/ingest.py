@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import shlex
 import sys
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Annotated, ClassVar, Literal, get_args
@@ -33,11 +34,13 @@ from gof.ingest.footage import Footage
 from gof.ingest.frame_times import Timing
 from gof.ingest.marked_points import read_points
 from gof.ingest.pipeline import Ingested, is_made_of, make_dataset, require_new
+from gof.ingest.place import require_no_more
 from gof.ingest.plates import MOST_FIRE_LEFT, find_plates
 from gof.ingest.published import PublishedFootage, is_published
 from gof.ingest.up import UpChoice
 
 MOST_FOV_DEG = 170.0
+NO_HEIGHT = "--flame-height-m: only for a single camera whose pose is not known; leave it out"
 SYNC = "sync"  # word of --times, and the dataset's folder for what it finds
 TAGGED = ("auto", "accelerometer")  # ways up that ask the files' sensors
 
@@ -178,12 +181,13 @@ def ingest(config: IngestConfig) -> Ingested:
         timing.require_one_way()  # now: reading the footage may take minutes
     if plate.folder is not None and not is_published(config.videos):  # now, as the times are
         find_plates(plate.folder, [f"cam_{c}" for c in range(len(config.videos))])
+    require_fitting(config, timing)
     footage = open_footage(config)
     if config.times == (SYNC,) and not is_published(config.videos):
         (out / SYNC / FILE).unlink(missing_ok=True)  # of a run that was cut off, perhaps of other videos
         capture_sync.find_clocks(capture_sync.SyncConfig(config.videos, out / SYNC, config.board, report=False))
     if config.flame_height_m is not None and (len(footage.videos) > 1 or footage.world_to_camera is not None):
-        raise GofError("--flame-height-m: only for a single camera whose pose is not known; leave it out")
+        raise GofError(NO_HEIGHT)
     pose_options = PoseOptions(
         solver=config.poses,
         by_hand=tuple(read_points(config.points, footage.names)) if config.points else (),
@@ -205,6 +209,22 @@ def ingest(config: IngestConfig) -> Ingested:
         others=tuple(other_clip(footage, folder) for folder in config.with_clip),
         overwrite=may_overwrite(),
     )
+
+
+def require_fitting(config: IngestConfig, timing: Timing) -> None:
+    """Raise GofError: an option is for another number of cameras, or names a dataset or a clip that is not there. It
+    reads no video, which may take minutes."""
+    if config.rig is not None:
+        Dataset.open(config.rig)
+    if is_published(config.videos):
+        return
+    timing.require_fitting(len(config.videos), made=config.times != (SYNC,))
+    for folder in config.with_clip:
+        clip_videos(config.videos, folder)
+    if len(config.videos) > 1 and config.flame_height_m is not None:
+        raise GofError(NO_HEIGHT)
+    if len(config.videos) == 1 and config.cameras is None:
+        require_no_more(config.points, config.marker_mm, config.baseline_m, config.rig, config.poses)
 
 
 def known_rig(folder: Path, footage: Footage) -> KnownRig:
@@ -267,9 +287,15 @@ def _stated_rate(video: Path) -> float:
 
 
 def other_clip(footage: Footage, folder: Path) -> Footage:
-    """Another clip by the same cameras. Raises GofError: a video is missing."""
-    videos = tuple(folder / video.name for video in footage.videos)
-    if any(video.exists() and video.samefile(own) for video, own in zip(videos, footage.videos, strict=True)):
+    """Another clip by the same cameras. Raises GofError: as `clip_videos`."""
+    return footage.other(clip_videos(footage.videos, folder))
+
+
+def clip_videos(own: Sequence[Path], folder: Path) -> list[Path]:
+    """Return the videos of another clip by the cameras of `own`. Raises GofError: one is missing, or it is this
+    clip."""
+    videos = [folder / video.name for video in own]
+    if any(video.exists() and video.samefile(mine) for video, mine in zip(videos, own, strict=True)):
         raise GofError(
             f"--with-clip {folder}: is this clip itself; its held-out frames must not be used for backgrounds. "
             "For frames outside the clip use --plates steady:200"
@@ -279,7 +305,7 @@ def other_clip(footage: Footage, folder: Path) -> Footage:
     for video in videos:
         if not video.exists():
             raise GofError(f"--with-clip {folder}: no {video.name} there; give its videos the names of this clip's")
-    return footage.other(list(videos))
+    return videos
 
 
 def open_footage(config: IngestConfig) -> Footage:

@@ -78,7 +78,7 @@ def main(argv: list[str]) -> int:
     results = collect(config.folders)
     if config.out is not None:
         require_free(config.out / "leaderboard.json")
-    folder = config.out or require_writable(config.folders[0].absolute().parent) / "leaderboard"
+    folder = config.out or require_writable(results[0].folder.absolute().parent) / "leaderboard"
     dataset = Dataset.open(config.dataset) if config.dataset else None
     rows = rows_of(results, None if dataset is None else dataset.scored_as())
     streams = stream_plots(results, dataset, config.time) if dataset else []

@@ -14,7 +14,7 @@ import numpy as np
 
 from .datum import Datum
 from .errors import DataFormatError
-from .zarr_array import ZarrArray
+from .zarr_array import EVERY_FRAME, ZarrArray
 
 SCHEMA, GRID, VERSION = "gof-velocity", "gof-grid", 1  # of velocity; of any other quantity
 CHUNK = 64  # cells a side: 1.5 MB of float16, small enough to read a flame out of a large domain
@@ -144,9 +144,11 @@ class GridSequence:
         times_s: (T,) float64 seconds on the dataset clock, strictly increasing.
         index_to_world: (4, 4), see `VelocityField`.
         quantity, units: what the numbers are.
+        dark: frames without a chunk, of light or heat in a foreign or older store; not those before the first chunk.
 
     Raises:
-        DataFormatError: another schema, version or quantity, a missing attribute, or times that do not increase.
+        DataFormatError: another schema, version or quantity, a missing attribute, times that do not increase, or frames
+            whose chunks are lost.
     """
 
     def __init__(self, array: ZarrArray, quantity: str | None = None, components: tuple[int, ...] | None = None):
@@ -174,6 +176,7 @@ class GridSequence:
             expected = "'m/s', 'cell_centred'" if quantity == "velocity" else "'cell_centred'"
             raise DataFormatError(f"{path}: units '{self.units}', layout '{layout}'; expected {expected}")
         self._check_shape(components)
+        self.dark = self._require_chunks()
 
     def _check_shape(self, components: tuple[int, ...] | None) -> None:
         shape, path = self._array.shape, self.path
@@ -185,6 +188,25 @@ class GridSequence:
             raise DataFormatError(f"{path}: time_s must be finite, strictly increasing and not empty")
         if not is_affine(self.index_to_world):
             raise DataFormatError(f"{path}: index_to_world must be a finite, invertible 4x4 matrix")
+
+    def _require_chunks(self) -> tuple[int, ...]:
+        """Return `dark`. Chunks that are all zero need not be stored, so that a frame without any may be a lost one.
+
+        Our stores say that every frame has one. In others, gas that has moved is never again at rest in every cell; but
+        before a fire is lit there is no light, and it may go out.
+        """
+        stored = self._array.stored_frames()
+        first = int(stored.argmax())
+        lost = np.flatnonzero(~stored)
+        whole = self.attributes.get(EVERY_FRAME) is True
+        if not whole and stored.any():
+            lost = lost[lost > first]
+        if len(lost) and (whole or self.quantity == "velocity"):
+            raise DataFormatError(
+                f"{self.path}: frame {lost[0]} has none of its chunks ({len(lost)} of {len(stored)} frames have none): "
+                "lost where the store was copied; copy it again, unpack it again or make it again"
+            )
+        return tuple(lost.tolist())
 
     def measured_from(self: S, datum: Datum) -> S:
         """Return the same store in a world and on a clock whose zeros are the datum's."""

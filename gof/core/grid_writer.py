@@ -18,7 +18,7 @@ import numpy as np
 from .errors import DataFormatError, GofError
 from .fields import AXES, CHUNK, GRID, SCHEMA, VERSION
 from .files import read_json, write_bytes, write_json
-from .zarr_array import ZarrArray, describe
+from .zarr_array import EVERY_FRAME, ZarrArray, describe
 
 Block = tuple[slice, slice, slice]
 
@@ -94,16 +94,19 @@ class GridWriter:
         """
         if self.has_frame(frame):
             return
-        array, largest_error = ZarrArray.open(self._partial), 0.0
+        array, largest_error, empty = ZarrArray.open(self._partial), 0.0, True
         for index, where in self._chunks():
             exact = np.asarray(block(where))
             stored = self._encode(exact, frame)
             if exact.size:
                 largest_error = max(largest_error, float(np.abs(stored.astype(np.float64) - exact).max()))
             if stored.any():
+                empty = False
                 number = (frame, *index, *(0 for _ in self._components))
                 here = (slice(0, 1), *(slice(0, n) for n in stored.shape[:3]))
                 write_bytes(array.file_of(number), array.packed(here, stored[None]))
+        if empty:
+            array.mark(frame)
         write_json(self._marker(frame), {"max_abs_error": largest_error})
 
     def finish(self) -> dict:
@@ -119,6 +122,8 @@ class GridWriter:
                 raise ValueError(f"{self._partial}: frames {missing[:5]} are not written; write them before finish()")
             errors = [read_json(self._marker(f))["max_abs_error"] for f in frames]
             self._description["attributes"]["storage_max_abs_error"] = max(errors)
+            if ZarrArray.open(self._partial).stored_frames().all():  # a version before may have begun it
+                self._description["attributes"][EVERY_FRAME] = True
             write_json(self._partial / "zarr.json", self._description)
             # Rename first: a kill between the two lines leaves a complete array with a harmless extra folder.
             os.replace(self._partial, self.path)
@@ -146,7 +151,8 @@ class GridWriter:
             return False
         found = _read_description(folder)
         for part in (found, found.get("attributes", {})):
-            part.pop("storage_max_abs_error", None)
+            for added in ("storage_max_abs_error", EVERY_FRAME):
+                part.pop(added, None)
         wanted = json.loads(json.dumps(self._description))
         if found != wanted:
             keys = {**wanted, **wanted["attributes"]}

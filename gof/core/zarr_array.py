@@ -22,7 +22,7 @@ from typing import Literal
 import numpy as np
 
 from .errors import DataFormatError, MissingDependencyError
-from .files import path_in, read_json, write_json
+from .files import path_in, read_json, write_bytes, write_json
 
 TYPES = ("float16", "float32", "float64")
 ORDERS: dict[str, Literal["<", ">"]] = {"little": "<", "big": ">"}
@@ -30,6 +30,7 @@ PACKINGS = ("gzip", "zstd")
 REMEDY = "write it with zarr.create_array(..., compressors=zarr.codecs.GzipCodec())"
 MOST_CHUNKS = 2**15  # of an index of the first axis; each is asked for, stored or not
 GZIP_LEVEL = 5  # as the add-on's writer
+EVERY_FRAME = "every_frame_stored"  # attribute: each index of the first axis has a chunk, so one without has lost it
 DAMAGE = (OSError, ValueError, EOFError, zlib.error)
 
 
@@ -80,11 +81,12 @@ class ZarrArray:
         attributes: dict,
         level: int = GZIP_LEVEL,
     ) -> ZarrArray:
-        """Return a new array of zeros, packed with gzip. Raises DataFormatError: there is something at `path`."""
+        """Return a new array of zeros, packed with gzip; every frame is to be written. Raises DataFormatError: there is
+        something at `path`."""
         path = Path(path)
         if path.exists():
             raise DataFormatError(f"{path}: exists already; remove it first or choose another name")
-        write_json(path / "zarr.json", describe(shape, chunks, dtype, attributes, level))
+        write_json(path / "zarr.json", describe(shape, chunks, dtype, attributes | {EVERY_FRAME: True}, level))
         return cls.open(path)
 
     @property
@@ -94,6 +96,20 @@ class ZarrArray:
     def is_stored(self, number: tuple[int, ...]) -> bool:
         """Return whether there is a file of a chunk."""
         return self.file_of(number).exists()
+
+    def stored_frames(self) -> np.ndarray:
+        """Return for each index of the first axis whether a chunk of it is stored, (T,) bool."""
+        if self.separator == ".":
+            keys = (name.split(".") for name in os.listdir(self.path))
+            found = {int(key[1]) for key in keys if key[0] == "c" and len(key) == self.ndim + 1 and key[1].isdigit()}
+        else:
+            found = {n for n in range(-(-self.shape[0] // self.chunks[0])) if _has_file(self.path / "c" / str(n))}
+        return np.array([index // self.chunks[0] in found for index in range(self.shape[0])], bool)
+
+    def mark(self, frame: int) -> None:
+        """Store a chunk of zeros for a frame that has none: at rest or dark, not lost."""
+        number = (frame, *(0 for _ in self.chunks[1:]))
+        write_bytes(self.file_of(number), self.packed((slice(0, 0),), np.zeros(())))
 
     def __getitem__(self, where: tuple[int | slice, ...]) -> np.ndarray:
         """Return a box: an index or a slice per axis; axes that are not named are taken whole.
@@ -119,7 +135,8 @@ class ZarrArray:
         return out[tuple(0 if isinstance(w, (int, np.integer)) else slice(None) for w in where)]
 
     def write(self, frame: int, values: np.ndarray) -> None:
-        """Write `array[frame]`; chunks of zeros are not stored. A chunk may hold one frame only.
+        """Write `array[frame]`; of chunks of zeros one is stored, where there are no others. A chunk may hold one frame
+        only.
 
         Raises:
             DataFormatError: a finite value is beyond what the array's type can hold.
@@ -128,6 +145,7 @@ class ZarrArray:
         values = np.asarray(values)[None]
         if self.chunks[0] != 1 or values.shape != tuple(h - l for l, h in zip(low, high, strict=True)):
             raise ValueError(f"{values.shape[1:]} is not a frame of {self.shape} in chunks of {self.chunks}")
+        empty = True
         for number in self._numbers(low, high):
             here, there = self._overlap(number, low, high)
             with np.errstate(over="ignore"):
@@ -138,8 +156,11 @@ class ZarrArray:
                     "store float32"
                 )
             if part.any():
+                empty = False
                 self.file_of(number).parent.mkdir(parents=True, exist_ok=True)
                 self.file_of(number).write_bytes(self.packed(here, part))
+        if empty:
+            self.mark(frame)
 
     def packed(self, here: tuple[slice, ...], part: np.ndarray) -> bytes:
         """Return the bytes of a chunk's file that is zero but for the part `here`."""
@@ -215,6 +236,13 @@ def describe(
         **({"dimension_names": list(axes)} if axes else {}),
         "attributes": attributes,
     }
+
+
+def _has_file(folder: Path) -> bool:
+    """Return whether a file of a chunk lies in the folder of a frame, or is it."""
+    if not folder.is_dir():
+        return folder.is_file()
+    return any(name.isdigit() for _, _, names in os.walk(folder) for name in names)
 
 
 def _described(description: dict) -> tuple:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+from collections.abc import Collection
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
@@ -12,7 +13,7 @@ import numpy as np
 
 from gof.core.cameras import Camera
 from gof.core.datum import Datum
-from gof.core.description import FILE, CameraEntry, DatasetDescription, dataset_folder
+from gof.core.description import FILE, PICTURES, CameraEntry, DatasetDescription, dataset_folder
 from gof.core.errors import DataFormatError
 from gof.core.fields import VelocitySequence
 from gof.core.files import path_in, stamp
@@ -21,6 +22,7 @@ from gof.core.records import to_json
 from gof.footage.pictures import read_picture
 
 SEEN = ("rgb", "static", "mask", "board_mask")  # kinds of files that are made something from
+ROLES = ("train", "eval", "around")  # of cameras
 
 
 @dataclass(frozen=True)
@@ -150,6 +152,29 @@ class Dataset:
                 del entry["frames"]
         text = json.dumps(about, sort_keys=True)
         return f"{self.description.name} {hashlib.sha256((text + files).encode()).hexdigest()[:16]}"
+
+    def require_files(
+        self, kinds: Collection[str] = PICTURES, roles: Collection[str] = ROLES, frames: Collection[int] | None = None
+    ) -> None:
+        """Look whether the files are there that dataset.json names; none is opened.
+
+        Args:
+            kinds: of files, as in `name`.   roles: of cameras.   frames: their numbers; None = all.
+        Raises:
+            DataFormatError: one is absent; names the first.
+        """
+        absent = []
+        for entry in (entry for entry in self.description.cameras if entry.role in roles):
+            own = range(len(self.times_s)) if entry.frames is None else entry.frames
+            seen = own if frames is None else sorted(set(frames).intersection(own))
+            names = dict.fromkeys(entry.file_name(kind, frame) for kind in kinds for frame in seen)
+            absent += [name for name in names if name is not None and not path_in(self.path, name).is_file()]
+        if absent:
+            others = f", and {len(absent) - 1} more files" if len(absent) > 1 else ""
+            raise DataFormatError(
+                f"{self.path / absent[0]}: no such file{others}, which dataset.json names; copy, unpack or make the "
+                "dataset again"
+            )
 
     def image(self, camera: int, frame: int) -> np.ndarray:
         """Return (H, W, 3) float32 display sRGB in [0, 1]."""

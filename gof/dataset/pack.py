@@ -27,6 +27,7 @@ import numpy as np
 
 from gof.core.drafts import whole_folder
 from gof.core.errors import DataFormatError, GofError
+from gof.core.fields import GridSequence, open_array
 from gof.core.files import atomic_path, is_name, is_relative_path, path_in
 from gof.dataset.dataset import Dataset
 
@@ -71,6 +72,8 @@ class VelocityFingerprint:
 
 SUMS, CARD = "SHA256SUMS", "README.md"
 BLOCK = 2**20
+CARD_HEAD = "---\nlicense: "  # that a card of ours begins with
+OWN_WORDS = "\n<!-- below: README.md of the authors -->\n\n"
 HEAD = 2**14  # characters of a card in which its credit stands
 MOST_SUMS = 2**26  # bytes of checksums that a reader believes
 LATEST_NS = 2**32 * 10**9  # of the year 2106: what file systems keep
@@ -108,14 +111,17 @@ def pack(dataset: Dataset, out: Path, licence: str, authors: tuple[str, ...], pr
         authors: who made it.
     Raises:
         GofError: licence or authors are empty, or the archive would lie in the dataset.
-        DataFormatError: see `files_of`.
+        DataFormatError: a file is absent that dataset.json names, a grid has lost frames, or see `files_of`.
     """
     if not licence.strip() or not authors:
         raise GofError("a packed dataset states its authors and its licence: give both")
     root = dataset.path.resolve()
     if out.resolve().is_relative_to(root):
         raise GofError(f"{out}: is inside the dataset that is packed; choose another --out")
-    names = files_of(root)
+    dataset.require_files()
+    for grid in sorted((root / "grids").glob("*.zarr")):
+        GridSequence(open_array(grid))
+    names, own_words = files_of(root), _own_words(root / CARD)
     total = sum((root / name).stat().st_size for name in names)
     newest = max((root / name).stat().st_mtime_ns for name in names)
     done, sums = 0, {}
@@ -130,7 +136,7 @@ def pack(dataset: Dataset, out: Path, licence: str, authors: tuple[str, ...], pr
             done += counted.size
             if progress:
                 progress(done, total)
-        about = card(dataset, licence, authors, total).encode()
+        about = (card(dataset, licence, authors, total) + own_words).encode()
         sums[CARD] = hashlib.sha256(about).hexdigest()
         listed = "".join(f"{digest}  {name}\n" for name, digest in sorted(sums.items())).encode()
         for name, content in ((CARD, about), (SUMS, listed)):
@@ -329,6 +335,27 @@ def card(dataset: Dataset, licence: str, authors: tuple[str, ...], total: int) -
         "",
     ]
     return "\n".join(parts)
+
+
+def _own_words(path: Path) -> str:
+    """Return a README.md of the dataset's authors, as it goes below the card: their words, or what an older card has of
+    them.
+
+    Raises:
+        DataFormatError: it is a link, or holds no text.
+    """
+    if not path.exists() and not path.is_symlink():
+        return ""
+    if path.is_symlink() or not path.is_file():
+        raise DataFormatError(f"{path}: not a plain file; it cannot be packed")
+    try:
+        text = path.read_text(encoding="utf-8")
+    except UnicodeDecodeError as e:
+        raise DataFormatError(f"{path}: no text in UTF-8 ({e}); save it as such") from e
+    _, marker, own = text.partition(OWN_WORDS)
+    if text.startswith(CARD_HEAD):
+        text = own if marker else ""
+    return f"{OWN_WORDS}{text}" if text.strip() else ""
 
 
 def description_lines(dataset: Dataset, total: int) -> dict[str, str]:

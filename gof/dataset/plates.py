@@ -32,6 +32,11 @@ def _plate(folder: Path, name: str) -> Path:
     return path_in(folder, f"plates/{name}.png")
 
 
+def has_own_plate(result: Path, name: str) -> bool:
+    """Return whether a result (its file or folder) has a plate of its own for a camera."""
+    return _plate(result if result.is_dir() else result.parent, name).is_file()
+
+
 def background(dataset: Dataset, camera: int, result: Path | None) -> np.ndarray:
     """Read the view of a camera without flame; arguments and result as in `own_plate`."""
     return own_plate(dataset.static(camera), dataset.cameras[camera].name, result)

@@ -33,6 +33,16 @@ class FlameGrid(GridSequence):
             raise DataFormatError(f"{path}: light_exponent {self.light_exponent:g} of zarr.json must lie in (0, 10)")
         self._kept: dict[int, tuple[np.ndarray, np.ndarray]] = {}  # of frames, as `light` gives it
 
+    @property
+    def dark_notes(self) -> list[str]:
+        """Return a note on frames that are dark in this store, or were lost from it; none where all have chunks."""
+        if not self.dark:
+            return []
+        return [
+            f"flame.zarr has no chunk of {len(self.dark)} frames (the first is {self.dark[0]}): without any flame, or "
+            "lost in a copy, which a store of an older version cannot tell"
+        ]
+
     def light(self, frame: int) -> tuple[np.ndarray, np.ndarray]:
         """Return the cells (K, 3) of a stored frame that burn, and their light (K,), > 0; neither may be changed.
 

@@ -237,7 +237,7 @@ def about(folder: Path) -> AboutMethod:
 
 
 def collect(folders: Sequence[Path]) -> list[EvaluatedResult]:
-    """Return the results in folders with a scores.json of `gof evaluate`, with names that differ.
+    """Return the results in folders with a scores.json of `gof evaluate` (or of that file), with names that differ.
 
     Seconds to train: "train_seconds" of DIR/method.json (see `AboutMethod`), or the sum of
     DIR/reconstruct/costs.json, DIR/costs.json or the one beside the result that was scored; None when there is none.
@@ -246,8 +246,9 @@ def collect(folders: Sequence[Path]) -> list[EvaluatedResult]:
         DataFormatError: a folder has no scores.json, or it is not one of this version's `gof evaluate`.
     """
     results = []
-    for folder in folders:
-        folder = folder.parent if folder.name == "scores.json" else folder
+    for folder in (path.parent if path.name == "scores.json" and not path.is_dir() else path for path in folders):
+        if folder.is_file():
+            raise DataFormatError(f"{folder}: a file; name the folder that 'gof evaluate --out' wrote scores.json into")
         if not (folder / "scores.json").is_file():
             raise DataFormatError(
                 f"{folder}: no scores.json; run 'gof evaluate RESULT --dataset DATASET --out {folder}' first"

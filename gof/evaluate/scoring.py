@@ -272,7 +272,8 @@ def _score_motion(
     figures["trivial_baselines"] = {
         name: _trivial_score(name, trivial_baseline) for name, trivial_baseline in sequence.trivial_baselines.items()
     }
-    return figures, [NO_LIGHT] * (flame is None) + sanity_warnings(sequence)
+    dark = [NO_LIGHT] if flame is None else flame.dark_notes
+    return figures, [*dark, *sanity_warnings(sequence)]
 
 
 def _scored_times(truth: VelocitySequence, dataset: Dataset) -> np.ndarray:

@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 
 from gof.capture.board_mask import board_mask, in_words, objection_to
-from gof.capture.times import FrameTimesFile, SyncedVideo, VideoTimes
+from gof.capture.times import FILE, FrameTimesFile, SyncedVideo, VideoTimes
 from gof.core.errors import DataFormatError, GofError
 from gof.core.numbered import usual_step
 from gof.core.records import read_record
@@ -102,6 +102,25 @@ class Timing:
                 "stamps (the files' own time stamps)"
             )
 
+    def require_fitting(self, cameras: int, made: bool = True) -> None:
+        """Check all that is known before a video is read.
+
+        Args:
+            made: whether the file of times is there already.
+        Raises:
+            DataFormatError: the file of times is none, or of another number of cameras.
+            GofError: another number of rates or starts than of cameras.
+        """
+        if self.fps:
+            _one_each("--times", self.fps, cameras)
+        if self.times is None:
+            _one_each("--start", self.start, cameras)
+            return
+        if len(self.start) != 1:
+            raise GofError("--start: with --times give the first camera's only; the others' follow from the times")
+        if made:
+            _synced_videos(self.times, cameras)
+
     @property
     def begins_are_known(self) -> bool:
         """Whether it is known which frames were taken together, so that clips may differ in length."""
@@ -135,7 +154,7 @@ def stated_times(timing: Timing, videos: list[VideoInfo]) -> FrameTimes:
             state different ones; time stamps that fit no one rate; clips of different length without
             their beginnings; a start beyond the end; fewer than two frames are left.
     """
-    starts = _one_each("--start", timing.start, videos)
+    starts = _one_each("--start", timing.start, len(videos))
     for video, start in zip(videos, starts, strict=True):
         if not 0 <= start < video.frames:
             raise GofError(f"--start {start}: {video.path} has {video.frames} frames")
@@ -144,7 +163,7 @@ def stated_times(timing: Timing, videos: list[VideoInfo]) -> FrameTimes:
     else:
         if len(timing.fps) == 1:
             require_one_rate(videos)
-        rates = _one_each("--times", timing.fps, videos)
+        rates = _one_each("--times", timing.fps, len(videos))
         if not min(rates) > 0:
             raise GofError(f"--times {min(rates):g}: must be positive")
         ticks = [_steps(video) / rate for video, rate in zip(videos, rates, strict=True)]
@@ -162,11 +181,12 @@ def stated_times(timing: Timing, videos: list[VideoInfo]) -> FrameTimes:
     return replace(times, notes=(*number_notes(videos), *times.notes))
 
 
-def _one_each(flag: str, values: tuple, videos: list[VideoInfo]) -> list:
-    """Return a value per video, of one for all or one each. Raises GofError: another number of them."""
-    if len(values) not in (1, len(videos)):
-        raise GofError(f"{flag}: give one value for all videos, or one for each of the {len(videos)}")
-    return list(values) * (len(videos) if len(values) == 1 else 1)
+def _one_each(flag: str, values: tuple, count: int) -> list:
+    """Return a value for each of `count` videos, of one for all or one each. Raises GofError: another number of
+    them."""
+    if len(values) not in (1, count):
+        raise GofError(f"{flag}: give one value for all videos, or one for each of the {count}")
+    return list(values) * (count if len(values) == 1 else 1)
 
 
 def _stamps(video: VideoInfo) -> np.ndarray:
@@ -232,8 +252,7 @@ def measured_times(timing: Timing, videos: list[VideoInfo]) -> FrameTimes:
         GofError: the videos are in another order; a start beyond the end; the videos do not overlap; fewer than two
             frames are left.
     """
-    if len(timing.start) != 1:
-        raise GofError("--start: with --times give the first camera's only; the others' follow from the times")
+    timing.require_fitting(len(videos))
     assert timing.times is not None, "the way that was chosen"
     synced, cameras, notes = _read_sync(timing.times, videos)
     start = timing.start[0]
@@ -291,11 +310,20 @@ def board_masks(
     return tuple(boards), notes
 
 
+def _synced_videos(path: Path, count: int) -> tuple[SyncedVideo, ...]:
+    """Read a times.json. Raises DataFormatError: it is none, or of another number of videos."""
+    if path.is_dir():
+        there = f"; give {path / FILE}" if (path / FILE).is_file() else f", with no {FILE} in it"
+        raise DataFormatError(f"{path}: a folder{there}")
+    known = read_record(FrameTimesFile, path).cameras
+    if len(known) != count:
+        raise DataFormatError(f"{path}: has {len(known)} cameras; it must be made of the same {count} videos")
+    return known
+
+
 def _read_sync(path: Path, videos: list[VideoInfo]) -> tuple[list[SyncedVideo], list[VideoTimes], tuple[str, ...]]:
     """Return each video's entry of a times.json, the times that each of them has, and notes."""
-    known = read_record(FrameTimesFile, path).cameras
-    if len(known) != len(videos):
-        raise DataFormatError(f"{path}: has {len(known)} cameras; it must be made of the same {len(videos)} videos")
+    known = _synced_videos(path, len(videos))
     found, notes = _entries(path, known, videos)
     times = []
     for entry, video in zip(found, videos, strict=True):

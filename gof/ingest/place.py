@@ -244,7 +244,7 @@ def place_alone(
         GofError: an option needs several cameras; no picture shows flame; the camera looks too steeply
             up or down.
     """
-    _require_no_more(options)
+    require_no_more(options.by_hand, options.marker_m, options.baseline_m, options.rig, options.solver)
     up, how, warnings = find_up(np.eye(4)[None], evidence, [], [lens], options)
     tip, foot = flame_ends(clip, plate)
     forward = np.array([0.0, 0.0, 1.0]) - up[2] * up
@@ -288,13 +288,14 @@ def flame_ends(clip: Collection[np.ndarray], plate: np.ndarray) -> tuple[np.ndar
     return np.array([low, rows.min()]), np.array([low, rows.max() + 1.0])
 
 
-def _require_no_more(options: PoseOptions) -> None:
+def require_no_more(points: object, marker: object, baseline: object, rig: object, solver: str) -> None:
+    """Raise GofError: a single camera, and an option that needs several is given, not None or empty."""
     several = {
-        "--points": options.by_hand,
-        "--marker-mm": options.marker_m,
-        "--baseline-m": options.baseline_m,
-        "--rig": options.rig,
-        "--poses": options.solver != "auto",
+        "--points": points,
+        "--marker-mm": marker,
+        "--baseline-m": baseline,
+        "--rig": rig,
+        "--poses": solver != "auto",
     }
     asked = [name for name, value in several.items() if value]
     if asked:

@@ -10,7 +10,7 @@ import numpy as np
 from gof.core import ftgs
 from gof.core.drafts import whole_folder
 from gof.core.errors import DataFormatError, NonFiniteError
-from gof.core.gaussians import TransientGaussians
+from gof.core.gaussians import VISIBLE, TransientGaussians
 from gof.core.ply import splat_columns, write
 from gof.host.options import require_number
 from gof.io import compressed, dgs, fourdgs, gltf, tsog, usd
@@ -22,6 +22,7 @@ from gof.io.losses import measure_loss
 MOVING = {".4dgs": fourdgs, tsog.SUFFIX: tsog, dgs.SUFFIX: dgs}  # suffixes of formats that hold what ours do, rounded
 FRAMES = ("", *usd.SUFFIXES)  # suffixes of formats that hold one frame after another
 INSTANT = (".glb", *compressed.SUFFIXES)  # suffixes of formats that hold the state at one time
+WRITTEN = (".npz", ".ply", *MOVING, *usd.SUFFIXES, *INSTANT)
 HAZIER = "other viewers blend display values, so over a bright background the flame looks hazier there than in gof"
 
 
@@ -54,6 +55,10 @@ def convert(
             start_s, end_s or time_s is given for another format, frames without frame_time_s, or a value that the
             format cannot hold; or as `put_into_room`.
     """
+    if out.suffix not in ("", *WRITTEN):
+        raise DataFormatError(
+            f"{out}: no format ends in '{out.suffix}'; use {', '.join(WRITTEN)}, or no suffix for a folder of PLYs"
+        )
     require_number("--clip", start_s)
     require_number("--clip", end_s)
     require_number("--time", time_s)
@@ -233,8 +238,17 @@ def _middle(gaussians: TransientGaussians) -> float:
 def _save_instant(gaussians: TransientGaussians, out: Path, time_s: float, source: str) -> list[str]:
     notes = _measured(gaussians)
     if out.suffix == ".glb":
+        if len(gaussians) and not (gaussians.at(time_s)[1] >= VISIBLE).any():
+            when = _when_seen(gaussians)
+            notes.append(f"no Gaussian can be seen at {time_s:g} s{when}; --time chooses another instant")
         return notes + gltf.save(gaussians, out, time_s, source)
     return notes + compressed.save(gaussians, out, time_s)
+
+
+def _when_seen(gaussians: TransientGaussians) -> str:
+    """Return in words from when to when they shine; empty where that is not known."""
+    born, dead = gaussians.life() if gaussians.dynamic.any() else (np.nan, np.nan)
+    return f", but between {born:.4g} and {dead:.4g} s" if np.isfinite([born, dead]).all() else ""
 
 
 def _clip(gaussians: TransientGaussians, out: Path, start_s: float | None, end_s: float | None) -> tuple[float, float]:

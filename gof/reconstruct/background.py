@@ -167,9 +167,9 @@ def still_gaussians(
     return gaussians.measured_from(dataset.datum)
 
 
-def add_flame(background: TransientGaussians, flame: Path, out: Path) -> None:
-    """out/scene.npz and .ply: the still scene and a flame's result file together."""
-    both = TransientGaussians.concatenate([background, TransientGaussians.load(flame)])
+def add_flame(background: TransientGaussians, flame: TransientGaussians, out: Path) -> None:
+    """Write out/scene.npz and .ply: the still scene and a flame's Gaussians together."""
+    both = TransientGaussians.concatenate([background, flame])
     for name in ("scene.npz", "scene.ply"):
         both.save(out / name, source="gof background and gof reconstruct")
 

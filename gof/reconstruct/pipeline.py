@@ -60,13 +60,14 @@ def reconstruct(
     require_stage(until)
     refuse_leaks(dataset)
     with only_run_in(out):
-        replaced = overwrite and settings.is_replaced(out, overwrite)
+        replaced = settings.is_replaced(out, overwrite)
         if not replaced:
             refuse_leaked_work(out, dataset)
-            settings.is_replaced(out, overwrite)
             finished = stages.Reconstruction.find(out)
             if finished is not None:
                 return finished
+        read = None if until == "result" else dataset.train_frames  # held-out pictures choose the step that is kept
+        dataset.require_files(("rgb", "static"), ("train", "eval") if read is None else ("train",), read)
         small = shrink(dataset, settings.longest_side)
         flow = flow_method(settings.flow, flow_weights)
         _require_motion(small)

@@ -1,6 +1,7 @@
 """The flame's true light: its places, and what is wrong with a grid."""
 
 import json
+import shutil
 
 import numpy as np
 import pytest
@@ -20,9 +21,9 @@ TO_WORLD = np.diag([SIDE, SIDE, SIDE, 1.0])
 TO_WORLD[:3, 3] = [-1.75, -1.75, 0]
 
 
-def write_grid(path, flame, quantity="flame"):
+def write_grid(path, flame, quantity="flame", times_s=TIMES):
     """flame (T, X, Y, Z) as the generator stores it."""
-    writer = GridWriter(path, flame.shape[1:], TO_WORLD, TIMES[: len(flame)], SIDE, "float16", scalar(quantity))
+    writer = GridWriter(path, flame.shape[1:], TO_WORLD, times_s[: len(flame)], SIDE, "float16", scalar(quantity))
     for k, frame in enumerate(flame):
         writer.write_frame(k, frame.__getitem__)
     writer.finish()
@@ -111,3 +112,21 @@ def test_without_flame_and_with_bad_grids(tmp_path, column):
         FlameGrid(write_grid(tmp_path / "bad.zarr", np.full((2, 4, 4, 4), -1.0))).places(
             0.0, 10, np.random.default_rng(0)
         )
+
+
+def test_dark_frames_of_an_older_store_are_noted_and_lost_ones_of_a_new_one_refused(tmp_path):
+    flame = np.zeros((4, CELLS, CELLS, CELLS))
+    flame[[1, 3]] = 0.5  # before it is lit there is none; between, it may have gone out
+    path = write_grid(tmp_path / "flame.zarr", flame, times_s=np.arange(4) / 10)
+    grid = FlameGrid(path)
+    assert grid.dark_notes == [] and len(grid.light(0)[1]) == 0, "dark frames are stored"
+    for frame in (0, 2):
+        shutil.rmtree(path / f"c/{frame}")
+    with pytest.raises(DataFormatError, match=r"flame\.zarr: frame 0 has none of its chunks \(2 of 4"):
+        FlameGrid(path)
+    described = json.loads((path / "zarr.json").read_text())
+    del described["attributes"]["every_frame_stored"]
+    (path / "zarr.json").write_text(json.dumps(described))
+    grid = FlameGrid(path)
+    assert grid.dark == (2,) and "no chunk of 1 frames (the first is 2)" in grid.dark_notes[0]
+    assert len(grid.light(2)[1]) == 0

@@ -105,6 +105,17 @@ def test_numbers_stay_whole_in_a_narrow_window(results, monkeypatch, capsys):
     assert numbers == [rows[1].text(key) for key in used_columns(rows) if key in SHOWN]
 
 
+def test_a_scores_file_stands_for_its_folder(results, tmp_path, capsys):
+    (one,) = collect([results / "exact/scores.json"])
+    assert one.folder == results / "exact"
+    assert main([str(results / "exact/scores.json"), "--out", str(tmp_path / "board")]) == 0
+    assert (tmp_path / "board/leaderboard.html").is_file()
+    with pytest.raises(DataFormatError, match=r"none: no scores.json; run .* --out \S*none'"):
+        collect([tmp_path / "none/scores.json"])
+    with pytest.raises(DataFormatError, match="result.npz: a file; name the folder"):
+        collect([results / "exact/result.npz"])
+
+
 def test_tables(results):
     rows = rows_of(collect([results / n for n in ("exact", "slow")]))
     table = list(csv.DictReader(io.StringIO(to_csv(rows))))

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from gof.core.errors import DataFormatError
+from gof.core.errors import DataFormatError, GofError
 from gof.core.gaussians import TransientGaussians
 from gof.dataset import Dataset
 from gof.dataset.poses import PoseReport, Poses
@@ -78,10 +78,8 @@ def test_from_a_dataset_with_the_flame_added(views, tmp_path, gaussians):
     (folder / "depth").mkdir()
     for camera, depth in zip(cameras, depths, strict=True):
         np.save(folder / "depth" / f"{camera.name}.npy", depth)
-    flame = tmp_path / "flame.npz"
-    gaussians.save(flame, source="test")
     options = BackgroundOptions(steps=20, gaussians=3000)
-    add_flame(make_background(folder, tmp_path / "out", options), flame, tmp_path / "out")
+    add_flame(make_background(folder, tmp_path / "out", options), gaussians, tmp_path / "out")
     result = tmp_path / "out" / "background.npz"
     background = TransientGaussians.load(result)
     scene_file = TransientGaussians.load(tmp_path / "out" / "scene.npz")
@@ -143,3 +141,20 @@ def test_without_out_the_scene_lands_beside_its_dataset(monkeypatch, tmp_path, c
     assert background.main(["."]) == 0
     assert {place.resolve() for place in places} == {tmp_path / "data/fire_background"}
     assert "fire_background" in capsys.readouterr().out
+
+
+def test_a_flame_may_be_a_folder_and_is_refused_before_the_work(monkeypatch, tmp_path, gaussians, capsys):
+    from gof.commands import background
+
+    made = []
+    monkeypatch.setattr(background, "make_background", lambda *_: made.append(_) or gaussians)
+    (tmp_path / "run").mkdir()
+    asked = ["data", "--out", str(tmp_path / "out"), "--flame"]
+    for wrong in (tmp_path / "run", tmp_path / "none", tmp_path / "none.npz"):
+        with pytest.raises(GofError, match=wrong.name):
+            background.main([*asked, str(wrong)])
+    assert not made, "all of it would have been for nothing"
+    gaussians.save(tmp_path / "run/result.npz")
+    (tmp_path / "run/settings.json").write_text("{}")
+    assert background.main([*asked, str(tmp_path / "run")]) == 0
+    assert len(TransientGaussians.load(tmp_path / "out/scene.npz")) == 2 * len(gaussians)

@@ -4,7 +4,10 @@ import cv2
 import numpy as np
 import pytest
 
+from gof.capture.times import FrameTimesFile, SyncedVideo
 from gof.commands import cli
+from gof.commands import ingest as ingest_command
+from gof.core.records import write_record
 from gof.dataset import Dataset
 from gof.footage.lens import Lens
 from gof.ingest.accelerometer import Tilt
@@ -80,6 +83,36 @@ def test_several_cameras_have_no_use_for_the_height_of_a_flame(tmp_path, capsys)
     videos = [str(tmp_path / "a"), str(tmp_path / "b")]
     assert cli.main(["ingest", *videos, "--times", "100", "--fov", "40", "--flame-height-m", "1"]) == 1
     assert "--flame-height-m: only for a single camera" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("cameras", "more", "said"),
+    [
+        (3, ["--times", "100", "50"], "--times: give one value for all videos, or one for each of the 3"),
+        (3, ["--times", "100", "--start", "0", "7"], "--start: give one value"),
+        (3, ["--times", "sync", "--start", "0", "7", "0"], "--start: with --times give the first camera's only"),
+        (3, ["--times", "none.json"], "none.json"),
+        (3, ["--times", "synced"], "synced: a folder; give synced/times.json"),
+        (2, ["--times", "empty"], "empty: a folder, with no times.json in it"),
+        (3, ["--times", "synced/times.json"], "has 2 cameras; it must be made of the same 3 videos"),
+        (3, ["--times", "100", "--rig", "nope"], "nope"),
+        (3, ["--times", "100", "--with-clip", "nope"], "nope: no 0.mp4 there"),
+        (3, ["--times", "100", "--flame-height-m", "1"], "--flame-height-m: only for a single camera"),
+        (1, ["--times", "100", "--baseline-m", "1"], "--baseline-m: for two cameras or more"),
+    ],
+)
+def test_what_can_be_told_before_a_video_is_read_is(tmp_path, monkeypatch, capsys, cameras, more, said):
+    monkeypatch.setattr(ingest_command, "open_footage", lambda config: pytest.fail("it may take minutes"))
+    monkeypatch.chdir(tmp_path)
+    for name in ("synced", "empty"):
+        (tmp_path / name).mkdir()
+    views = tuple(SyncedVideo(f"cam_{k}", f"{k}.mp4", error="dark") for k in range(2))
+    write_record(tmp_path / "synced/times.json", FrameTimesFile("paper_rig", 4000.0, views, {}, ()))
+    videos = [f"{k}.mp4" for k in range(cameras)]
+    for video in videos:
+        (tmp_path / video).touch()
+    assert cli.main(["ingest", *videos, "--fov", "40", "--out", str(tmp_path / "ds"), *more]) == 1
+    assert said in capsys.readouterr().err
 
 
 def test_a_clip_without_flame_is_named(tmp_path, capsys):

@@ -197,6 +197,16 @@ def test_the_command_chooses_an_instant_and_says_what_is_lost(tmp_path, capsys):
         main([str(tmp_path / "g.npz"), str(tmp_path / "c.npz"), "--time", "0"])
 
 
+def test_an_instant_at_which_nothing_shines_is_noted(tmp_path, capsys):
+    g = replace(random_gaussians(40), dynamic=np.ones(40, bool), t_sigma=np.full(40, 0.05))
+    g.save(tmp_path / "g.npz")
+    said = []
+    for time_s in ("0.25", "99"):
+        assert main([str(tmp_path / "g.npz"), str(tmp_path / f"{time_s}.glb"), "--time", time_s]) == 0
+        said.append("no Gaussian can be seen at 99 s, but between" in " ".join(capsys.readouterr().out.split()))
+    assert said == [False, True]
+
+
 # ---------------------------------------------------------------- PLY sequences
 
 

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from gof.commands.cli import main as gof
+from gof.commands.figure_modalities import run_folder
 from gof.core.colour import linear_to_srgb, srgb_to_linear
 from gof.core.errors import GofError
 from gof.core.gaussians import TransientGaussians
@@ -397,6 +398,25 @@ def test_removal_with_a_result_shows_its_plate_too(made, capsys):
     assert gof([*asked, "--out", str(made / "r.svg"), "--json", str(made / "r.json")]) == 0
     titles = [one["title"] for one in json.loads((made / "r.json").read_text())["tiles"][0]]
     assert titles[2] == "background of the result" and titles[-1] == "difference"
+
+
+def test_removal_refuses_a_result_that_is_not_there_and_notes_one_without_plates(two, tmp_path, capsys):
+    (two / "empty").mkdir()
+    asked = ["figure", "removal", str(two / "data"), "--out", str(tmp_path / "r.svg"), "--result"]
+    for wrong, why in (("nothing_at_all", "no such file or folder"), ("empty", "holds no result of 'gof reconstruct'")):
+        assert gof([*asked, str(two / wrong)]) == 1
+        assert f"{wrong}: {why}" in capsys.readouterr().err and not (tmp_path / "r.svg").exists()
+    assert gof([*asked, str(two / "nothing.npz"), "--json", str(tmp_path / "r.json")]) == 0
+    (note,) = json.loads((tmp_path / "r.json").read_text())["notes"]
+    assert "no plates of its own" in note and "note:" in capsys.readouterr().out
+
+
+def test_a_run_is_named_by_its_folder_its_result_or_its_demo(tmp_path):
+    run = tmp_path / "demo/reconstruct"
+    run.mkdir(parents=True)
+    for name in ("settings.json", "result.npz"):
+        (run / name).touch()
+    assert {run_folder(path) for path in (run, run / "result.npz", tmp_path / "demo")} == {run}
 
 
 # ---------------------------------------------------------------- on pages

@@ -70,7 +70,17 @@ def detect(source: Source) -> str:
         raise DataFormatError(
             f"{source.path}: holds {_summary(source.checkpoint)}, which is no layout gof knows (docs/importers.md)"
         )
-    raise DataFormatError(f"{source.path}: no format gof knows; it reads {KNOWN}")
+    what = _ours_without_gaussians(source.path) or f"no format gof knows; it reads {KNOWN}"
+    raise DataFormatError(f"{source.path}: {what}")
+
+
+def _ours_without_gaussians(path: Path) -> str:
+    """Return in words which folder of ours without Gaussians it is; empty: none."""
+    if (path / "dataset.json").is_file():
+        return "is a dataset, and no result; name the result of 'gof reconstruct' here, and the dataset after --dataset"
+    if (path / "settings.json").is_file():
+        return "has no result.npz; the reconstruction there has not finished: run the same 'gof reconstruct' again"
+    return ""
 
 
 def _summary(checkpoint: Any) -> str:

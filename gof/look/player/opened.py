@@ -46,6 +46,19 @@ def newest(path: Path) -> Path:
     )
 
 
+def require_result(path: Path) -> Path:
+    """Return the file of a result that is there, as `newest`.
+
+    Raises:
+        GofError: there is nothing by that name, or a folder without a result of ours.
+    """
+    file = newest(path)
+    if file.is_file():
+        return file
+    what = "holds no result of 'gof reconstruct'" if file.is_dir() else "no such file or folder"
+    raise GofError(f"{path}: {what}; name a folder of 'gof reconstruct', or the result in it")
+
+
 def open_result(
     path: Path, options: ImportOptions | None = None, name: str | None = None
 ) -> Opened[TransientGaussians]:
