@@ -45,6 +45,11 @@ def lay_out(folder: Path) -> Path:
     write(folder / "room.ply", splat_columns({"position": wall, "color": np.full((64, 3), 0.4), **shape}), [])
     for film in (folder / "sample/clip").iterdir():
         shutil.copyfile(film, folder / film.name)
+    for take in ("takes/1", "takes/2"):
+        (folder / take).mkdir(parents=True)
+        for film in (folder / "sample/clip").glob("*.mp4"):
+            shutil.copyfile(film, folder / take / film.name)
+        shutil.copytree(folder / "data/fire", folder / "data" / take, copy_function=os.link)
     return folder
 
 

@@ -53,7 +53,7 @@ class IngestConfig:
     Examples:
       gof ingest cam_0.mp4 cam_1.mp4 cam_2.mp4 --times sync/times.json --cameras cameras.json
       gof ingest a.mp4 b.mp4 c.mp4 --times 240 --start 0 7 0 --fov 65 --baseline-m 1.2 --out data/mine
-      gof ingest takes/1 takes/2 --times sync --out data      of each folder's videos: data/1 and data/2
+      gof ingest takes/1 takes/2 --times sync --cameras cameras.json --out data/takes      data/takes/1 and data/takes/2
 
     Poses come from the plates by structure from motion; where that fails or contradicts the board, from the sync
     board's marker or from points given with --points. Frames are paired by time: cameras may differ in rate and drop

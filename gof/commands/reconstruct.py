@@ -35,7 +35,7 @@ class ReconstructConfig:
     Examples:
       gof reconstruct data/fire
       gof reconstruct data/fire --preset standard --out out/fire_standard
-      gof reconstruct data/take_1 data/take_2 --out out      out/take_1 and out/take_2, one after the other
+      gof reconstruct data/takes/1 data/takes/2 --out out/takes      out/takes/1 and out/takes/2
     """
 
     FIRST: ClassVar = ("out", "preset", "steps", "gaussians", "max_size", "scene", "method", "until")
