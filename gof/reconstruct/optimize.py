@@ -28,13 +28,14 @@ from gof.reconstruct.unseen import UnseenView, UnseenViews
 from gof.reconstruct.windows import Windows
 from gof.render import Target, l1_ssim, render_splats
 from gof.render.adam import Adam
-from gof.render.backend import Float, floats, opaque
+from gof.render.backend import Bool, Float, floats, opaque
 from gof.render.light import to_display
 from gof.render.rasterizer import Frame
 
 SSIM_WEIGHT = 0.2
 STEEPEST = 0.25  # slope of a colour by its logit, at middle grey
 PLAIN_PLATES = 0.05, 0.35  # display values of the plates behind unseen views
+WHITE = 0.98  # display value that a camera gives to all that is brighter; compression moves it a little
 CHECK_EVERY = 50  # steps between looks at the loss (a synchronisation) and at NaN
 CHECKPOINT_EVERY = 500
 UNSEEN_EVERY = 2  # steps; as good as in each, for a fifth less time
@@ -170,7 +171,7 @@ def take_step(step: int, flame: Flame, pictures: TrainingPictures, schedule: Sch
     unseen = pictures.unseen.choose(f, rng) if pictures.unseen and also else None
     shown = flame.shown(f, c, unseen)
     drawn = flame.drawn(shown, f, c)
-    loss = _loss(drawn, pictures, f, c, schedule.alpha_loss)
+    loss = _loss(drawn, pictures, f, c, schedule.alpha_loss, clipped=flame.surroundings.emissive)
     if unseen is not None:
         loss += schedule.unseen * flame.loss_unseen(shown, unseen, rng.uniform(*PLAIN_PLATES, 3))
     loss += schedule.plate_loss * flame.surroundings.moved(c, flame.optimizer)
@@ -315,6 +316,11 @@ class TrainingPictures:
             self._targets[f, c] = Target(self._windows.cut(c, self._observation.image[f, c]))
         return self._targets[f, c]
 
+    def white(self, f: int, c: int) -> list[Bool]:
+        """Return three planes: where the picture shows as much of a channel as it can."""
+        seen = self._windows.cut(c, self._observation.image[f, c]) >= WHITE
+        return [Bool(np.ascontiguousarray(seen[..., channel].ravel())) for channel in range(3)]
+
     def outside(self, f: int, c: int) -> Float:
         """1 where no flame may be, else 0."""
         if (f, c) not in self._outside:
@@ -323,9 +329,21 @@ class TrainingPictures:
         return self._outside[f, c]
 
 
-def _loss(drawn: DrawnView, pictures: TrainingPictures, f: int, c: int, alpha_loss: float) -> Any:
-    """Return the loss of camera c's picture of frame f; a Dr.Jit tensor of one number, differentiable."""
-    loss = l1_ssim(drawn.color, pictures.target(f, c), ssim_weight=SSIM_WEIGHT)
+def _loss(
+    drawn: DrawnView, pictures: TrainingPictures, f: int, c: int, alpha_loss: float, clipped: bool = False
+) -> Any:
+    """Return the loss of camera c's picture of frame f; a Dr.Jit tensor of one number, differentiable.
+
+    Args:
+        clipped: light is added to what lies behind, and a camera shows no more than white. Where a flame is white
+            before a bright wall, its light beyond that is left to the palette; held to white, it would be what the
+            wall lacks, which over another background is green or grey.
+    """
+    color = drawn.color
+    if clipped:
+        white = pictures.white(f, c)
+        color = [dr.select(full & (shown > 1), 1, shown) for full, shown in zip(white, color, strict=True)]
+    loss = l1_ssim(color, pictures.target(f, c), ssim_weight=SSIM_WEIGHT)
     return loss + alpha_loss * dr.mean(drawn.share * pictures.outside(f, c))
 
 

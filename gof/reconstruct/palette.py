@@ -17,6 +17,7 @@ from gof.reconstruct.observation import Observation, light_above
 CELLS = 96  # along each side of the map of colours
 FAINT = 0.15  # display value of the brightest channel; noise colours what is darker
 RARE = 1e-3  # share of the flame's pixels that may have colours which are none of the fire's
+CLIPPED, ENOUGH = 0.98, 0.01  # display value from which a channel tells no colour; share of pixels that must be below
 MARGIN = 4  # cells around the fire's colours that are its own, too: what lies nearer costs own pictures and motion
 MOST_PICTURES = 200  # that are looked at, spread over the clip
 
@@ -44,15 +45,21 @@ class Palette:
 
 
 def find_palette(observation: Observation) -> Palette | None:
-    """Return the colours of a clip's flame, of its light alone without its plates'; None where nothing burns."""
+    """Return the colours of a clip's flame, of its light alone without its plates'; None where nothing burns.
+
+    White pixels have lost theirs, and less a bright plate they are green: they count only where hardly any other is.
+    """
     delivered = np.argwhere(observation.delivered)
-    counts = np.zeros((CELLS, CELLS))
+    every, clear = np.zeros((2, CELLS, CELLS))
     for f, c in delivered[:: -(-len(delivered) // MOST_PICTURES) or 1]:
-        light = light_above(observation.image[f, c], observation.plate[c])[observation.mask[f, c]]
-        shown = linear_to_srgb(light)
-        np.add.at(counts, tuple(_cells(shown[shown.max(1) > FAINT]).T), 1)
-    if not counts.any():
+        flame = observation.mask[f, c]
+        shown = linear_to_srgb(light_above(observation.image[f, c], observation.plate[c])[flame])
+        told = observation.image[f, c][flame].max(1) < CLIPPED
+        for counts, counted in ((every, shown.max(1) > FAINT), (clear, (shown.max(1) > FAINT) & told)):
+            np.add.at(counts, tuple(_cells(shown[counted]).T), 1)
+    if not every.any():
         return None
+    counts = clear if clear.sum() > ENOUGH * every.sum() else every
     counts = gaussian_filter(counts, 1.0)
     most = np.sort(counts, axis=None)[::-1]
     rarest = most[min(np.searchsorted(np.cumsum(most), (1 - RARE) * most.sum()), most.size - 1)]

@@ -3,6 +3,7 @@
 import itertools
 import resource
 from dataclasses import asdict, astuple, replace
+from types import SimpleNamespace
 
 import cv2
 import drjit as dr
@@ -23,7 +24,9 @@ from gof.reconstruct.observation import observe
 from gof.reconstruct.parameters import splats, to_raw
 from gof.reconstruct.presets import PRESETS, Effort, effort_of
 from gof.reconstruct.shrink import enlarge, shrink
+from gof.reconstruct.windows import Windows
 from gof.render import render, render_splats
+from gof.render.backend import Float
 from tests.conftest import arc
 from tests.reconstruct.rising_flame import DT, column, edit, held_out, reconstruct, write_flame
 
@@ -277,6 +280,29 @@ def test_gaussians_of_small_pictures_look_as_blurred_at_full_size(flame):
     assert enlarge(thin, full) is thin
     still = replace(thin, dynamic=np.zeros(500, bool))
     assert (enlarge(still, quarter).scale == thin.scale).all(), "what is no flame was not fitted to these pictures"
+
+
+def test_light_beyond_white_is_free_where_a_camera_shows_white_and_nowhere_else(flame):
+    """Target: left half white. Drawn: 1.3 everywhere. Only the right half is pushed."""
+    dataset = shrink(Dataset.open(flame), 32)
+    seen = observe(dataset)
+    image = np.full_like(seen.image, 0.5)
+    image[..., : image.shape[3] // 2, :] = 1.0
+    seen = replace(seen, image=image)
+    pictures = optimize.TrainingPictures(seen, Windows.whole(seen.cameras))
+    height, width = image.shape[2:4]
+    gradients = {}
+    for clipped in (True, False):
+        drawn = [dr.full(Float, 1.3, height * width) for _ in range(3)]
+        for plane in drawn:
+            dr.enable_grad(plane)
+        nothing = dr.zeros(Float, height * width)
+        view = SimpleNamespace(color=drawn, share=nothing)
+        dr.backward(optimize._loss(view, pictures, 0, 0, 0.1, clipped=clipped))
+        gradients[clipped] = np.abs([dr.grad(plane).numpy() for plane in drawn]).reshape(3, height, width)
+    inner = width // 2 - 6  # SSIM's window reaches over the border
+    assert not gradients[True][..., :inner].any() and gradients[False][..., :inner].all()
+    assert gradients[True][..., width // 2 :].all()
 
 
 def test_presets_fill_what_is_not_given():

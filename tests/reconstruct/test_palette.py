@@ -1,6 +1,7 @@
 """A clip's colours, and Gaussians drawn to them."""
 
 import colorsys
+from dataclasses import replace
 
 import drjit as dr
 import numpy as np
@@ -43,6 +44,20 @@ def test_colours_are_those_of_the_light_whatever_stands_behind(plate):
     assert np.abs(palette.find(own) - own).max() < 0.03
     dark = 0.05 * own
     assert np.abs(palette.find(dark) - own).max() < 0.03, "however dark"
+
+
+def test_white_pixels_before_a_bright_wall_have_no_colour_to_give():
+    """Red and green are white there: less the wall's light their difference is green, which no fire is."""
+    burning = clip(ORANGE)
+    image, plate = burning.image.copy(), burning.plate.copy()
+    plate[:, :, 20:] = wall = (0.75, 0.6, 0.6)
+    image[:, :, :, 20:] = 1.0  # half of every picture is white before a wall, the other half tells its colour
+    palette = find_palette(replace(burning, image=image, plate=plate))
+    lacking = 1 - np.array([wall])
+    found = palette.find(lacking)
+    assert found[0, 0] == 1 > found[0, 1], "cyan of what the wall lacks becomes the fire's own colour"
+    white = replace(burning, image=np.ones_like(image), plate=plate)
+    assert find_palette(white) is not None, "where all is white, that is all there is"
 
 
 def test_green_becomes_what_burns():
