@@ -297,11 +297,17 @@ def board_masks(
 
     boards: list[np.ndarray | None] = []
     notes = []
+    some = any(times.board_px for _, times in cameras)
     for (name, times), size in zip(cameras, sizes, strict=True):
         mask = board_mask(times.board_px, times.marker_px, (times.width, times.height)) if times.board_px else None
         objection = None if mask is None else objection_to(mask)
         if times.clock == "board" and times.board_px is None:
             objection = "no board mask: an older gof made times.json; 'gof capture annotate' makes one"
+        elif some and times.clock != "board" and not times.board_px:
+            objection = (
+                "NO BOARD MASK, as it is not known where the board is: if it is in view, its lamps count as flame; "
+                "mask it with 'gof capture annotate --footage ... --board-points FILE'"
+            )
         if objection is not None:
             notes.append(f"{name}: {objection}")
         elif mask is not None:

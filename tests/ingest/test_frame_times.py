@@ -104,6 +104,10 @@ def test_the_board_that_gave_the_times_is_masked(tmp_path):
     assert times.notes[1].startswith("cam_2: no board mask: an older gof made times.json; 'gof capture annotate'")
     assert times.notes[2].startswith("cam_3: no board mask: what was taken for the board covers 100%")
     assert not read_frame_times(Timing(path, masks=False), infos(20, 20, 20, 20)).boards
+    guessed = replace(cameras[1], times=replace(cameras[1].times, clock="flame"))
+    write_record(path, replace(record, cameras=(cameras[0], guessed, *cameras[2:])))
+    notes = read_frame_times(Timing(path), infos(20, 20, 20, 20)).notes
+    assert any(note.startswith("cam_1: NO BOARD MASK") and "lamps count as flame" in note for note in notes)
     small = [replace(info, width=50, height=100) for info in infos(20, 20, 20, 20)]
     assert read_frame_times(Timing(path), small).boards[0].shape == (100, 50)
 
