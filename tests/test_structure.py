@@ -137,3 +137,15 @@ def test_the_table_of_rooms_is_whole():
 def test_every_folder_is_a_part_of_ours():
     assert all((import_graph.ROOT / folder).is_dir() for folder in FOLDERS.values())
     assert any(list(imports_of(name, path, modules())) for name, path in modules().items())
+
+
+def test_a_script_runs_when_all_of_it_is_defined():
+    """The guard of a module that is run stands last: what follows it is not there yet when it runs."""
+    guards = {}
+    for room in ("gof", "benchmark", "blender_addon", "tools"):
+        for path in (ROOT / room).rglob("*.py"):
+            body = ast.parse(path.read_text(encoding="utf-8")).body
+            for place, node in enumerate(body, 1):
+                if isinstance(node, ast.If) and "__name__" in ast.unparse(node.test):
+                    guards[path.relative_to(ROOT).as_posix()] = len(body) - place
+    assert len(guards) > 40 and {path: left for path, left in guards.items() if left} == {}

@@ -107,10 +107,6 @@ def main(argv: list[str] | None = None) -> None:
     print(f"| within {NEAR:.0%} of the footage | {near} of {len(climbs)} |")
 
 
-if __name__ == "__main__":
-    main()
-
-
 # ----------------------------------------------------------------
 # How fast bright structures climb in a clip, from the slope of their traces in a picture of height against time.
 #
@@ -170,3 +166,7 @@ def _offset(values: np.ndarray, best: int) -> float:
     left, middle, right = values[best - 1 : best + 2]
     bend = left - 2 * middle + right
     return 0.5 * (left - right) / bend if bend < 0 else 0.0
+
+
+if __name__ == "__main__":
+    main()

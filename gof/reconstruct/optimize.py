@@ -35,7 +35,7 @@ from gof.render.rasterizer import Frame
 SSIM_WEIGHT = 0.2
 STEEPEST = 0.25  # slope of a colour by its logit, at middle grey
 PLAIN_PLATES = 0.05, 0.35  # display values of the plates behind unseen views
-WHITE = 0.98  # display value that a camera gives to all that is brighter; compression moves it a little
+WHITE = 0.8  # display value from which light beyond white may be behind it: pictures are compressed and shrunk
 CHECK_EVERY = 50  # steps between looks at the loss (a synchronisation) and at NaN
 CHECKPOINT_EVERY = 500
 UNSEEN_EVERY = 2  # steps; as good as in each, for a fifth less time

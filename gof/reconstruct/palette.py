@@ -17,7 +17,7 @@ from gof.reconstruct.observation import Observation, light_above
 CELLS = 96  # along each side of the map of colours
 FAINT = 0.15  # display value of the brightest channel; noise colours what is darker
 RARE = 1e-3  # share of the flame's pixels that may have colours which are none of the fire's
-CLIPPED, ENOUGH = 0.98, 0.01  # display value from which a channel tells no colour; share of pixels that must be below
+CLIPPED, ENOUGH = 0.94, 0.01  # display value from which a channel tells no colour; share of pixels that must be below
 MARGIN = 4  # cells around the fire's colours that are its own, too: what lies nearer costs own pictures and motion
 MOST_PICTURES = 200  # that are looked at, spread over the clip
 
