@@ -231,7 +231,7 @@ def test_command_writes_what_gof_ingest_reads(views, tmp_path, capsys):
     assert gof(["capture", "calibrate", str(tmp_path / "none.mp4"), "--out", other]) == 1
     assert "no such video" in capsys.readouterr().err
     assert gof(["capture", "calibrate", "--out", other]) == 1
-    assert "name the footage" in capsys.readouterr().err
+    assert "name VIDEO" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize("target", [TARGET, Charuco(5, 8, 24.0, 18.0), Charuco(11, 8, 60.0, 45.0)])
