@@ -132,7 +132,9 @@ def test_without_out_the_scene_lands_beside_its_dataset(monkeypatch, tmp_path, c
     from gof.commands import background
 
     places = []
-    monkeypatch.setattr(background, "make_background", lambda dataset, out, options: places.append(out) or [])
+    monkeypatch.setattr(
+        background, "make_background", lambda dataset, out, options, overwrite: places.append(out) or []
+    )
     (tmp_path / "data/fire").mkdir(parents=True)
     monkeypatch.chdir(tmp_path)
     assert background.main(["data/fire"]) == 0

@@ -96,7 +96,7 @@ def _sample(hint: Any) -> Any:
             return {"a name": _sample(inner[1])}
         case origin if origin is tuple:
             return (_sample(inner[0]),) * 2 if inner[-1] is Ellipsis else tuple(map(_sample, inner))
-    return {int: 1, float: 1.5, str: "a name", bool: True}.get(hint)
+    return {int: 16, float: 1.5, str: "a name", bool: True}.get(hint)
 
 
 def _cameras(folder: Path) -> None:
