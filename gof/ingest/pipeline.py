@@ -40,7 +40,8 @@ from gof.ingest.published import CAMERAS_FILE, is_published
 
 WRITTEN = ("cameras", "static", "depth", "points.ply", POSES, CAMERAS_FILE)  # names in the folder, but for records
 GIVEN = ("", "--fov", "--cameras")  # sources of lenses that a user has named, or footage that brings its own
-UNFINISHED = ".unfinished-ingest"
+COSTS = "costs.json"
+UNFINISHED = ".unfinished-ingest"  # costs so far; while it is there, files without a dataset are an unfinished run's
 
 
 @dataclass(frozen=True)
@@ -112,16 +113,12 @@ def is_made_of(out: Path, videos: Sequence[Path]) -> bool:
     return known == ([videos[0].name] if is_published(list(videos)) else [fingerprint(video) for video in videos])
 
 
-def start_afresh(out: Path) -> None:
-    """Remove what a run that was cut off, or one that is replaced, left in the folder; mark the folder as unfinished.
+def clear(out: Path) -> None:
+    """Remove the dataset that a run replaces, or what one that was cut off left in the folder.
 
-    Its pictures may be of other frames, or of another size; none of them may get into this dataset.
+    Its pictures may be of other frames, or of another size; none of them may get into the next dataset.
     """
-    (out / UNFINISHED).touch()
-    if (out / DATASET).exists():
-        remove(out / DATASET)
-        remove(out / "costs.json")
-    for name in _written_in(out):
+    for name in (DATASET, COSTS, *_written_in(out)):
         remove(out / name)
 
 
@@ -142,7 +139,7 @@ def make_dataset(
         max_size: px; the dataset's pictures with a longer side are shrunk to it. Poses are always solved at full size.
         others: more clips of the same rig; their features and boards help to find the poses, and they may show what
             burns all the time in this one.
-        overwrite: replace a dataset in `out` that was made from footage.
+        overwrite: replace a dataset in `out` that was made from footage, once all is known that is to be written.
     Raises:
         GofError: `out` holds a dataset already, or files that it would mix with; another run is at work there; see
             the stages for what can be wrong with footage, times and poses.
@@ -154,9 +151,11 @@ def make_dataset(
 
     with only_run_in(out):
         require_new(out, overwrite)
-        start_afresh(out)
-        made = _make(out, footage, timing, pose_options, plate, max_size, others)
+        if not (out / DATASET).exists():
+            clear(out)
         (out / UNFINISHED).unlink(missing_ok=True)
+        made = _make(out, footage, timing, pose_options, plate, max_size, others)
+        (out / UNFINISHED).replace(out / COSTS)
         return made
 
 
@@ -169,8 +168,8 @@ def _make(
     max_size: int | None,
     others: tuple[Footage, ...],
 ) -> Ingested:
-    """As `make_dataset`, in a folder that is empty and this run's alone."""
-    log = StageLog(out / "costs.json")
+    """As `make_dataset`, in a folder that is this run's alone and holds at most a dataset that is to be replaced."""
+    log = StageLog(out / UNFINISHED)
 
     # ---- frame times, footage ----------------------------------------------------------------------------------------
     with log.measure("read") as figures:
@@ -226,6 +225,7 @@ def _make(
     }
     boards = [footage.board_mask(c, board) for c, board in enumerate(times.boards or [None] * len(clips))]
     made_from = derived_files(stored, placed, plate.folder is None)
+    clear(out)
     with log.measure("write"), watched("write", clips) as seen:
         for view, clip, board in zip(stored, seen, boards, strict=True):
             write_pictures(out, view, clip)

@@ -2,11 +2,14 @@
 
 import json
 
+import numpy as np
 import pytest
 
 from gof.commands import cli
 from gof.commands.each import folder_of_each, run_each
 from gof.core.errors import GofError
+from gof.footage.pictures import write_picture
+from tests.ingest.test_one_run import contents
 from tests.ingest.test_picture_folders import arguments, picture, words
 from tests.reconstruct.rising_flame import write_flame
 from tests.videos import write_video
@@ -83,6 +86,24 @@ def test_a_stopped_command_keeps_the_takes_that_are_finished(tmp_path, capsys):
     (tmp_path / "data/two/costs.json").write_text("of the run before")
     assert cli.main([*asked, "--overwrite"]) == 0
     assert made.stat().st_mtime_ns > before and (tmp_path / "data/two/notes.txt").read_text() == "windy"
+
+
+def test_a_dataset_is_replaced_only_when_the_next_is_ready(tmp_path, capsys):
+    """The plates of the next are of another size, which shows only after the films were read."""
+    options = write_takes(tmp_path, ("one",))
+    asked = ["ingest", str(tmp_path / "takes/one"), "--out", str(tmp_path / "ds"), *options]
+    assert cli.main(asked) == 0
+    before = contents(tmp_path / "ds") | {"costs.json": (tmp_path / "ds/costs.json").read_bytes()}
+    plates = tmp_path / "plates"
+    plates.mkdir()
+    for c in range(2):
+        write_picture(plates / f"cam_{c}.png", np.zeros((8, 8, 3), np.uint8))
+    capsys.readouterr()
+    assert cli.main([*asked, "--plates", str(plates), "--overwrite"]) == 1
+    assert "plates/cam_0.png" in words(capsys)
+    assert contents(tmp_path / "ds") | {"costs.json": (tmp_path / "ds/costs.json").read_bytes()} == before
+    assert cli.main([*asked, "--start", "2", "--overwrite"]) == 0
+    assert contents(tmp_path / "ds").keys() < before.keys(), "the pictures of frames that it has no more are gone"
 
 
 def test_a_dataset_of_another_kind_is_not_replaced(tiny_dataset, tmp_path, capsys):
