@@ -58,6 +58,13 @@ def test_a_first_help_screen_is_short_and_begins_with_examples(name, capsys):
 NEEDED = {name: [option for option in options_of(config_of(leaves()[name])) if option.positional] for name in leaves()}
 
 
+@pytest.mark.parametrize("second", [["--with-clip", "b"], ["--with_clip=b"]])
+def test_an_option_of_several_values_is_not_given_twice(second, capsys):
+    """Of two, argparse keeps the last one's values alone, and says nothing."""
+    assert main(["ingest", "takes/1", "--with-clip", "a", *second]) == 1
+    assert "--with-clip: stands there twice; name all of its values behind one --with-clip" in capsys.readouterr().err
+
+
 @pytest.mark.parametrize("name", [name for name, needed in NEEDED.items() if any(o.required for o in needed)])
 def test_a_command_without_a_word_says_what_to_name(name, capsys):
     """As people type it first; a list that may be empty for the parser is not for the command."""

@@ -36,7 +36,8 @@ def read_options(config: type[C], command: str, argv: Sequence[str]) -> C:
         argv: the words after these.
     Raises:
         SystemExit: after the help (0), or an option is wrong (2).
-        GofError: an option is gone (names the one that replaces it); nothing is given to work on.
+        GofError: an option is gone (names the one that replaces it), or one of several values is there twice; nothing
+            is given to work on.
     """
     if asked_for(argv):
         print(of_command(config, command, whole=WHOLE in argv))
@@ -44,6 +45,7 @@ def read_options(config: type[C], command: str, argv: Sequence[str]) -> C:
     argv = everywhere.taken_from(renamed(command, list(argv)))
     for option, word in getattr(config, "BARE", {}).items():
         argv = _with_value(argv, option, word)
+    _require_once(config, argv)
     found = tyro.cli(config, prog=f"gof {command}", args=argv)
     _require_something(config, command, found)
     named = {field: _folders(vars(found)[field]) for field in {"dataset", "datasets"} & vars(found).keys()}
@@ -51,6 +53,14 @@ def read_options(config: type[C], command: str, argv: Sequence[str]) -> C:
     _require_places(config, found)
     everywhere.require_figures_replaceable(kind.SCHEMA for kind in getattr(config, "FIGURES", ()))
     return found
+
+
+def _require_once(config: type, argv: Sequence[str]) -> None:
+    """Raise GofError where an option of several values stands twice: of the first one's values, none would count."""
+    flags = [word.partition("=")[0].replace("_", "-") for word in argv]
+    for option in options_of(config):
+        if option.several and not option.positional and flags.count(option.name) > 1:
+            raise GofError(f"{option.name}: stands there twice; name all of its values behind one {option.name}")
 
 
 def _require_something(config: type, command: str, found: object) -> None:
