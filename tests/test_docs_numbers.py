@@ -70,6 +70,7 @@ TOY = {
     "dve_speed": ("--counts", "1000", "--sizes", "16", "--scipy-up-to", "1000"),
     "format_losses": ("RESULT",),
     "hard_cases": ("FLAME",),
+    "held_out_camera": ("FLAME", "--out", "OUT", "--preset", "toy", "--steps", "20"),
     "interval_coverage": ("--repeats", "20"),
     "motion_bounds": ("FLAME",),
     "real_clips": ("FLAME", "--out", "OUT", "--methods", "gof", *TINY),
