@@ -137,7 +137,7 @@ def _straight(field: FlowField, axis: FlameAxis, speed: np.ndarray, direction: n
 
 
 # ----------------------------------------------------------------
-# What `gof reconstruct --preset preview` makes of a dataset up to the flow field that is seen, before any prior.
+# As `gof reconstruct --preset preview` goes with a dataset up to the flow field that is seen, before any prior.
 
 EFFORT = PRESETS["preview"]
 

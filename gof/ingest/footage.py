@@ -251,7 +251,7 @@ def _poses(cameras: list[CalibratedCamera]) -> np.ndarray | None:
 
 
 # ----------------------------------------------------------------
-# What a dataset made from footage holds of each camera: its plate, pictures and masks, at the size they are stored.
+# Files of each camera in a dataset made from footage: its plate, pictures and masks, at the size they are stored.
 
 
 @dataclass(frozen=True)

@@ -59,7 +59,7 @@ FEATURES = (
 """Inputs of the network for a voxel in a frame. Lengths are over the flame's length or radius, speeds over the mean
 seen speed, times over the time in which what is seen crosses a radius. Nothing is the same all over a clip: by such
 numbers a network would know its flames again."""
-VOXELS = 72  # along the longest side of the flame's box: the flow fields that it learns from, and is asked on
+VOXELS = 72  # along the longest side of the flame's box: the flow fields that it learns from, and corrects
 VECTORS = 5
 LIMIT = 6.0  # features beyond this say no more; a strange flame must not drive the network far outside its training
 FINE, COARSE = 1.5, 4.0  # voxels, std-dev of the brightness whose slopes are features
