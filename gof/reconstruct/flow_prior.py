@@ -21,11 +21,11 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from zipfile import BadZipFile
 
 import numpy as np
 
 from gof.core.errors import DataFormatError, GofError
+from gof.core.npz import read_npz
 from gof.host.threads import map_on_cores
 from gof.reconstruct.flame_axis import CrossSections, FlameAxis
 from gof.reconstruct.flow_field import FlowField, FrameField
@@ -102,10 +102,7 @@ class FlowPrior:
         Raises:
             DataFormatError: not such a file, or one trained for other features.
         """
-        try:
-            data = dict(np.load(path, allow_pickle=False))
-        except (OSError, ValueError, BadZipFile) as error:
-            raise DataFormatError(f"{path}: cannot read the flow prior's weights ({error})") from error
+        data = read_npz(path)
         try:
             features = [str(f) for f in data["features"]]
             prior = cls(
