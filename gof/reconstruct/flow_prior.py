@@ -30,7 +30,7 @@ from gof.host.threads import map_on_cores
 from gof.reconstruct.flame_axis import CrossSections, FlameAxis
 from gof.reconstruct.flow_field import FlowField, FrameField
 from gof.reconstruct.log_light import LogLight, slope
-from gof.reconstruct.pace import USUAL, Pace, PaceClues
+from gof.reconstruct.mean_speed import USUAL, MeanSpeed, SpeedClues
 from gof.reconstruct.several_flames import alone, several_flames
 
 WEIGHTS = Path(__file__).with_name("flow_prior.npz")
@@ -93,7 +93,7 @@ class FlowPrior:
     deviation: np.ndarray
     velocity: Network
     uncertainty: Network
-    pace: Pace
+    pace: MeanSpeed
 
     @classmethod
     def load(cls, path: Path = WEIGHTS) -> FlowPrior:
@@ -110,7 +110,7 @@ class FlowPrior:
                 data["deviation"],
                 _network(data, "velocity"),
                 _network(data, "uncertainty"),
-                Pace(data["pace_metric"], data["pace_unitless"]),
+                MeanSpeed(data["pace_metric"], data["pace_unitless"]),
             )
         except KeyError as missing:
             raise DataFormatError(f"{path}: not the weights of a flow prior ({missing} is missing)") from missing
@@ -144,7 +144,7 @@ class FlowPrior:
         flame = several_flames(field)
         apart = {k: FlameDescriber.of(alone(field, flame == k)) for k in range(flame.max() + 1)}
         flames = {k: describer for k, describer in apart.items() if describer is not None}
-        clues = [PaceClues.of(describer.axis, describer.log_light) for describer in flames.values()]
+        clues = [SpeedClues.of(describer.axis, describer.log_light) for describer in flames.values()]
         paces = self.pace.side_by_side(clues, metres)
 
         def correct_frame(f: int) -> FrameField:  # all features of a clip at once would take gigabytes
