@@ -60,6 +60,7 @@ lint: setup
 	$(VENV)/bin/ruff check .
 	$(VENV)/bin/ruff format --check .
 	$(VENV)/bin/python -m mypy
+	$(VENV)/bin/python -m tools.count_type_errors
 
 clean:
 	rm -rf out build *.egg-info

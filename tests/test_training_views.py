@@ -158,7 +158,7 @@ def test_what_a_layout_cannot_hold_is_named(tmp_path):
 def test_a_dataset_with_smaller_pictures(tmp_path):
     root = fire.dataset(tmp_path / "fire")
     out = tmp_path / "small"
-    shrunk.main([str(root), str(out), "--longest-side", "40", "--views", "dnerf", "points"])
+    shrunk.main([str(root), str(out), "--max-size", "40", "--views", "dnerf", "points"])
     large, small = Dataset.open(root), Dataset.open(out)
     picture = cv2.imread(str(large.file(1, "rgb", 3))).astype(float)
     means = picture.reshape(40, 2, 24, 2, 3).mean((1, 3))
@@ -173,13 +173,21 @@ def test_a_dataset_with_smaller_pictures(tmp_path):
         shrunk.shrink(root, tmp_path / "same", 80)
 
 
+def test_the_old_name_of_the_pictures_size_works_and_says_so(tmp_path, capsys):
+    root = fire.dataset(tmp_path / "fire")
+    words = [str(root), str(tmp_path / "small"), "--views", "dnerf"]
+    assert shrunk.main([*words, "--longest-side=40"]) == 0
+    assert "--longest-side is now --max-size" in capsys.readouterr().err
+    assert Dataset.open(tmp_path / "small").cameras[0].height == 40
+
+
 def test_smaller_pictures_without_openexr_leave_nothing(tmp_path, monkeypatch, capsys):
     """A layout that reads the plates' depth needs it, and one that does not can be had without."""
     root = fire.dataset(tmp_path / "fire")
     assert list(root.rglob("*.exr"))
     with monkeypatch.context() as without:
         without.setitem(sys.modules, "OpenEXR", None)
-        words = [str(root), str(tmp_path / "small"), "--longest-side", "40", "--views", "dnerf"]
+        words = [str(root), str(tmp_path / "small"), "--max-size", "40", "--views", "dnerf"]
         assert shrunk.main([*words, "points"]) == 1
         captured = capsys.readouterr()
         said = captured.out + captured.err
@@ -198,7 +206,7 @@ def test_smaller_pictures_for_a_layout_that_cannot_be_leave_nothing(tmp_path, ca
     description = json.loads((root / "dataset.json").read_text())
     description["splits"] = {"train": list(range(fire.FRAMES)), "test": []}
     (root / "dataset.json").write_text(json.dumps(description))
-    assert shrunk.main([str(root), str(tmp_path / "small"), "--longest-side", "40", "--views", "hypernerf"]) == 1
+    assert shrunk.main([str(root), str(tmp_path / "small"), "--max-size", "40", "--views", "hypernerf"]) == 1
     assert "holds out nothing" in capsys.readouterr().out.replace("\n", " ")
     assert [path.name for path in tmp_path.iterdir()] == ["fire"]
 

@@ -2,6 +2,8 @@
 
 import ast
 import re
+import tokenize
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
@@ -97,6 +99,21 @@ def texts(path: Path) -> list[str]:
     ]
 
 
+def comments(path: Path) -> Iterator[str]:
+    """Comments of a file; lines of one column that follow each other are one comment."""
+    lines, place = [], None
+    with path.open("rb") as file:
+        for token in tokenize.tokenize(file.readline):
+            if token.type == tokenize.COMMENT:
+                if lines and place != (token.start[0] - 1, token.start[1]):
+                    yield " ".join(lines)
+                    lines = []
+                lines.append(token.string.lstrip("# "))
+                place = token.start
+    if lines:
+        yield " ".join(lines)
+
+
 UNCLEAR = re.compile(
     r"^\s*(?:What|Of) |[.!?:]\s+(?:What|Of) (?![^.!?]*\?)|\b(?:[Nn]obody|[Ww]hoever)\b|\b[Pp]rocessors?\b"
     r"|\b(?:is|are|was|were|be|been|being) (?:not )?(?:said|told(?! apart| from)|asked)\b|\b[Dd]oubts?\b(?=.* )"
@@ -110,11 +127,17 @@ def test_what_is_unclear_is_found():
         assert not UNCLEAR.search(text), text
 
 
+def test_comments_are_put_together(tmp_path):
+    (tmp_path / "a.py").write_text("# One\n# two.\nx = 1  # three\n# four\ny = '# five'\n")
+    assert list(comments(tmp_path / "a.py")) == ["One two.", "three", "four"]
+
+
 @pytest.mark.parametrize("room", ["gof", "benchmark", "blender_addon"])
-def test_docstrings_and_messages_speak_plainly(room):
-    """Rule 2 of CONTRIBUTING.md, over docstrings, helps, panels and messages."""
+def test_docstrings_messages_and_comments_speak_plainly(room):
+    """Rule 2 of CONTRIBUTING.md, over docstrings, helps, panels, messages and comments."""
     files = [path for path in (ROOT / room).rglob("*.py")]
-    found = {f"{name_of(path)}: {text[:80]}" for path in files for text in texts(path) if UNCLEAR.search(text)}
+    everything = ((path, text) for path in files for text in (*texts(path), *comments(path)))
+    found = {f"{name_of(path)}: {text[:80]}" for path, text in everything if UNCLEAR.search(text)}
     assert len(files) > 40 and found == set()
 
 

@@ -20,7 +20,7 @@ CORE = ROOT / "gof" / "core"  # goes into the folder `core`, in place of what st
 NAME = "gaussians_on_fire"
 KINDS = {".py", ".toml"}
 BESIDE = {"LICENSE"}
-# What the add-on's Help opens; whose the files of `core` are.
+# The page that the add-on's Help opens, and the owner of the files of `core`.
 ELSEWHERE = {ROOT / "docs" / "addon.md": "documentation.md", ROOT / "LICENSE": "core/LICENSE"}
 EPOCH = (1980, 1, 1, 0, 0, 0)  # the first time a zip can hold
 

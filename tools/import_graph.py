@@ -14,7 +14,7 @@ from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[1]
 FOLDERS = {"gof": "gof", "gof_benchmark": "benchmark", "gof_blender": "blender_addon"}  # as in setup.py
-# What starts a program belongs to the room that it opens, wherever the file has to stand.
+# A file that starts a program belongs to the room that it opens, wherever the file has to stand.
 ENTRANCES = {"gof.commands.cli": "gof/commands", "gof.__main__": "gof/commands", "gof_blender": "blender_addon/ui"}
 ENTRANCES |= {"gof_blender.core": "gof/core"}
 CORE = ("gof_blender.core.", "gof.core.")  # the same files under two names (setup.py)

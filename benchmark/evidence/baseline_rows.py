@@ -141,7 +141,7 @@ class BaselineRows:
     """Checkout of ingra14m/Deformable-3D-Gaussians."""
     steps: int = 3000
     """For every training, one picture each."""
-    longest_side: int = 160
+    max_size: int = 160
     """For the pictures, px."""
     ours: tuple[str, ...] = tuple(OURS)
     """Which rows of ours, or none; `gof_long` takes as long as the slowest of the others that are there."""
@@ -427,7 +427,7 @@ def main(argv: list[str] | None = None) -> None:
     for scene in config.scenes:
         if not all((small / scene / made).is_dir() for made in ("freetimegs/sparse", "NeRF/nerfds")):
             shutil.rmtree(small / scene, ignore_errors=True)
-            words = [f"{config.suite / scene}", f"{small / scene}", "--longest-side", f"{config.longest_side}"]
+            words = [f"{config.suite / scene}", f"{small / scene}", "--max-size", f"{config.max_size}"]
             shrunk.main([*words, "--views", *VIEWS])
     for name in rows:
         for scene in config.scenes:
@@ -444,7 +444,7 @@ def main(argv: list[str] | None = None) -> None:
     for scene in config.scenes:
         (config.out / f"{scene}.md").write_text(table(there, scene), encoding="utf-8")
         print(table(there, scene))
-    words = ["score", *map(str, there), f"{small}", "--out", f"{config.out / 'board'}", "--split", config.split]
+    words = ["score", *map(str, there), f"{small}", "--out", f"{config.out / 'board'}", "--scenes", config.split]
     subprocess.run(python_command("-m", "gof", "benchmark", *words), check=True)
 
 

@@ -35,7 +35,7 @@ from tests.capture.synthetic import SyntheticShot
 SHOWN = ("frame_interval_us", "rms_us", "max_residual_us", "outliers", "row_time_us", "readout", "faults")
 GOAL_US, GOAL_COMPRESSED_US, GOAL_REAL_US = 5.0, 15.0, 9.0
 
-# What varies, around SyntheticShot's defaults: 720 x 1280, 400 fps, 3 us rows, 1 ms exposure, 60 px marker.
+# Variations around SyntheticShot's defaults: 720 x 1280, 400 fps, 3 us rows, 1 ms exposure, 60 px marker.
 SWEEPS: dict[str, list[float]] = {
     "exposure": [100, 300, 600, 1000, 1500, 2200, 3000],
     "row_time": [1.5, 3.0, 6.0, 10.0],

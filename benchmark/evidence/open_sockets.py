@@ -28,7 +28,7 @@ from gof.dataset import Dataset
 from gof.host.processes import python_command
 
 EVERY_S = 0.1
-LOOKED_AT_S = 20.0  # `gof view` ends only when it is told to
+LOOKED_AT_S = 20.0  # `gof view` ends only on a signal
 
 
 @dataclass

@@ -175,7 +175,7 @@ def errors(made: Made, reference: Made) -> tuple[float, float, float]:
     light, true = (
         cv2.resize(np.load(file), size, interpolation=cv2.INTER_LINEAR) for file in (made.light, reference.light)
     )
-    # What is behind the flame is dimmed, and where it begins a blur would mix the two.
+    # The room behind the flame is dimmed, and where it begins a blur would mix the two.
     around = cv2.dilate(flame.astype(np.uint8), np.ones((2 * blur + 1, 2 * blur + 1))) == 0
     mean = float(true[around].mean())
     smooth = cv2.blur(light, (blur, blur))

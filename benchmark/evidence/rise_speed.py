@@ -110,7 +110,7 @@ def main(argv: list[str] | None = None) -> None:
 # ----------------------------------------------------------------
 # How fast bright structures climb in a clip, from the slope of their traces in a picture of height against time.
 #
-# What a person does with a ruler on such a picture, who needs no optical flow and no truth.
+# As a person does it with a ruler on such a picture, who needs no optical flow and no truth.
 
 FADE = 0.06  # of the height: structures larger than this are the flame's own shape
 SPEEDS = 240  # that are tried between no motion and the fastest

@@ -121,7 +121,7 @@ class Generation:
         with progress_bar("generate", left=left) as update:
             while waiting or truth_pending or self._running:
                 baked = self._layout.bake_marker.is_file()
-                # What a bake of before has left may be removed by this run's: pictures wait until that has begun.
+                # Leftovers of an earlier bake may be removed by this run's: pictures wait until that has begun.
                 begun = baked or self._bake_began() != before
                 while waiting and (baked or (begun and self._is_ready(waiting[0][0]))):
                     if not self._has_plates() and "render" in self._running.values():

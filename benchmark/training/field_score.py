@@ -13,9 +13,9 @@ from gof.evaluate import dve
 from gof.reconstruct.flame_axis import FlameAxis
 from gof.reconstruct.flow_field import FlowField, seen_flow_field
 from gof.reconstruct.flow_prior import VOXELS
+from gof.reconstruct.mean_speed import GRAVITY, LAW
 from gof.reconstruct.methods import OURS
 from gof.reconstruct.observation import Observation
-from gof.reconstruct.pace import GRAVITY, LAW
 from gof.reconstruct.presets import PRESETS
 from gof.reconstruct.shrink import shrink
 from gof.reconstruct.voxels import FlameVoxels
@@ -137,7 +137,7 @@ def _straight(field: FlowField, axis: FlameAxis, speed: np.ndarray, direction: n
 
 
 # ----------------------------------------------------------------
-# What `gof reconstruct --preset preview` makes of a dataset up to the flow field that is seen, before any prior.
+# As `gof reconstruct --preset preview` goes with a dataset up to the flow field that is seen, before any prior.
 
 EFFORT = PRESETS["preview"]
 

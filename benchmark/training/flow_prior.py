@@ -30,8 +30,8 @@ from gof.dataset import Dataset
 from gof.host.terminal import progress_bar
 from gof.reconstruct.flow_field import FlowField
 from gof.reconstruct.flow_prior import FEATURES, VECTORS, WEIGHTS, FlameDescriber, FlowPrior, Network, evaluate_network
+from gof.reconstruct.mean_speed import MeanSpeed, SpeedClues, stands
 from gof.reconstruct.observation import observe
-from gof.reconstruct.pace import Pace, PaceClues, stands
 from gof.reconstruct.several_flames import alone, several_flames
 from gof_benchmark.training.field_score import (
     best_constant,
@@ -125,7 +125,7 @@ class TrainingFlame:
         stands: whether it stands; the pace of one that lies in the wind is not learned from.
     """
 
-    clues: PaceClues
+    clues: SpeedClues
     pace: float
     samples: LitVoxels
     stands: bool
@@ -138,7 +138,7 @@ class TrainingFlame:
             raise GofError("a flame in which nothing moves cannot be trained on")
         pace = mean_speed(truth, field.emission)
         samples = LitVoxels.of(describer, truth / pace, np.random.default_rng(0))
-        return cls(PaceClues.of(describer.axis, describer.log_light), pace, samples, stands(describer.axis))
+        return cls(SpeedClues.of(describer.axis, describer.log_light), pace, samples, stands(describer.axis))
 
 
 @dataclass(frozen=True)
@@ -220,7 +220,7 @@ class FlameErrors:
         return f"{own} | {' | '.join(map(listed, self.trivial_baselines))}"
 
 
-def pace_error(clip: TrainingClip, pace: Pace, metres: bool = True) -> np.ndarray:
+def pace_error(clip: TrainingClip, pace: MeanSpeed, metres: bool = True) -> np.ndarray:
     """Log of estimated over true pace of each flame."""
     found = pace.side_by_side([flame.clues for flame in clip.flames], metres)
     return np.log(found) - np.log([flame.pace for flame in clip.flames])
@@ -339,7 +339,7 @@ def held_out_error(scaling: Scaling, network: Network, samples: LitVoxels, pace:
     return torch.tensor(velocity) - samples.truth / pace
 
 
-def prior_of(scaling: Scaling, velocity: Network, uncertainty: Network, pace: Pace) -> FlowPrior:
+def prior_of(scaling: Scaling, velocity: Network, uncertainty: Network, pace: MeanSpeed) -> FlowPrior:
     return FlowPrior(scaling.mean.numpy(), scaling.deviation.numpy(), velocity, uncertainty, pace)
 
 
@@ -397,16 +397,16 @@ def samples_of(clips: list[TrainingClip]) -> list[LitVoxels]:
     return [flame.samples for clip in clips for flame in clip.flames]
 
 
-def fitted_pace(clips: list[TrainingClip]) -> Pace:
+def fitted_pace(clips: list[TrainingClip]) -> MeanSpeed:
     flames = [flame for clip in clips for flame in clip.flames if flame.stands]
-    return Pace.fit([flame.clues for flame in flames], [flame.pace for flame in flames])
+    return MeanSpeed.fit([flame.clues for flame in flames], [flame.pace for flame in flames])
 
 
 @dataclass(frozen=True)
 class LeftOut:
     """A clip's prediction learned from others alone, and its error there; errors as `held_out_error`, by flame."""
 
-    pace: Pace
+    pace: MeanSpeed
     scaling: Scaling
     velocity: Network
     errors: tuple[torch.Tensor, ...]

@@ -11,6 +11,7 @@ import shutil
 import sys
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Annotated
 
 import cv2
 import numpy as np
@@ -40,8 +41,8 @@ class ShrunkConfig:
     """A finished dataset."""
     out: tyro.conf.Positional[Path]
     """Folder to write; it must not be there."""
-    longest_side: int = 160
-    """Longest side of the pictures, px."""
+    max_size: Annotated[int, tyro.conf.arg(metavar="PX")] = 160
+    """Longer side of the pictures."""
     views: tuple[str, ...] = ()
     """Layouts to write in it: as --views of gof generate."""
 
@@ -128,15 +129,18 @@ def _shrink_depth(source: ViewSource, camera: int, out: Path, size: tuple[int, i
 
 def main(argv: list[str] | None = None) -> int:
     """1 with a named error."""
+    argv = sys.argv[1:] if argv is None else argv
+    old = "--longest-side"
+    if any(word.partition("=")[0] == old for word in argv):
+        print(f"{old} is now --max-size; the old name goes with the next version", file=sys.stderr)
+        argv = [word.replace(old, "--max-size", 1) if word.partition("=")[0] == old else word for word in argv]
     config = tyro.cli(ShrunkConfig, prog="python -m gof_benchmark.views.shrunk", args=argv)
     try:
-        shrink(config.dataset, config.out, config.longest_side, config.views)
+        shrink(config.dataset, config.out, config.max_size, config.views)
     except GofError as error:
         console().print("error:", error, style="red")
         return 1
-    print(
-        f"{config.out / FILE}: pictures of at most {config.longest_side} px; views: {', '.join(config.views) or 'none'}"
-    )
+    print(f"{config.out / FILE}: pictures of at most {config.max_size} px; views: {', '.join(config.views) or 'none'}")
     return 0
 
 

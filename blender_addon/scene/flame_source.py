@@ -30,7 +30,7 @@ LUMINANCE = np.array([0.2126, 0.7152, 0.0722], np.float32)  # of linear Rec. 709
 class GridSource:
     """See `flame_source.FlameSource`."""
 
-    # The flame grid is the light itself: whoever draws from it need not know a material (`gof.evaluate.emission`).
+    # The flame grid is the light itself: drawing from it takes no material (`gof.evaluate.emission`).
     contents = {"flame": {**scalar("flame", "linear scene radiance per metre"), "light_exponent": 1.0}}
     dtype = "float32"  # a solver's light has no usual size
 

@@ -32,7 +32,7 @@ class MantaflowSource:
     def __init__(self, spec: SceneSpec):
         self._spec = spec
         self.contents = {name: scalar(name) for name in QUANTITIES}
-        # Of soot the flame grid is the light itself, as in a fire of grids: no power of the reaction is its light.
+        # With soot the flame grid is the light itself, as in a fire of grids: no power of the reaction is its light.
         glows = spec.fire.dims
         self.contents["flame"] = scalar("flame", "linear scene radiance per metre") if glows else scalar("flame")
         self.contents["flame"]["light_exponent"] = 1.0 if glows else material.FLAME_EXPONENT

@@ -123,7 +123,7 @@ def _best_lag(known: np.ndarray, other: np.ndarray) -> Offset:
     a, b = _flicker(known), _flicker(other)
     by_scale = [_agreement(_stretched(a, scale), b) for scale in SCALES]
     lags, agreement = by_scale[0][0], np.max([found for _, found in by_scale], 0)
-    # Of few frames that overlap, some agree by chance.
+    # Where few frames overlap, some agree by chance.
     overlap = np.minimum(len(a), len(b) + lags) - np.maximum(lags, 0)
     weighed = agreement * np.sqrt(np.clip(overlap / min(len(a), len(b)), 0, 1))
     k = int(weighed.argmax())

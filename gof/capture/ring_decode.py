@@ -22,7 +22,7 @@ from gof.capture.strips import NotDecodable, robust_line, robust_scale
 
 FEWEST_FRAMES = 8
 LEAST_LIGHT = 25.0  # grey levels of a lit LED above the board; a codec's noise is a few
-MOST_LIT = 0.9  # of the ring: of a longer arc the ends cannot be told
+MOST_LIT = 0.9  # of the ring: a longer arc has no ends to be found
 MARGIN = 3.0  # steps beside the arc that are compared too
 OFF = 0.15  # soft limit of what an LED's brightness may miss the model by
 HIDDEN_LIT, HIDDEN_SEEN = 0.7, 0.25  # an LED that should shine above the one and stays below the other is hidden

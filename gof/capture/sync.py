@@ -287,7 +287,7 @@ def _describe(found: _Decoded, container_fps: float | None) -> VideoTimes:
 
 
 # ----------------------------------------------------------------
-# What is known of rolling-shutter sensors, as data (sensors.json).
+# Known rolling-shutter sensors, as data (sensors.json).
 
 
 @dataclass(frozen=True)

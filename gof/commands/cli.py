@@ -18,7 +18,7 @@ from gof.commands.everywhere import DEBUG_VARIABLE, FAULTS
 from gof.core.errors import GofError, in_words, printable
 from gof.core.files import follow_links_of
 
-# What a user's disk can do to a run.
+# Faults of a user's disk that can end a run.
 DISK = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EROFS, errno.EACCES, errno.EPERM)
 
 FAULT = 70  # the exit status is sysexits.h's of an internal fault
@@ -97,7 +97,7 @@ def main(argv: list[str] | None = None) -> int:
             _require_output(e)
             raise
         finally:
-            _say_now()  # here, where it can be said that it fails, and not when Python ends
+            _say_now()  # here, where a failure has its words, and not when Python ends
     except BrokenPipeError:  # who reads our output has seen enough
         _say_no_more()
         return 1

@@ -98,7 +98,7 @@ def main(argv: list[str]) -> int:
             align=config.align,
             extras=Extras(config.weights, depth, dis if config.published else None, disparity, dis),
         )
-    for path in files:  # first: whoever reads what follows may leave (`| head`)
+    for path in files:  # first: the reader of what follows may leave (`| head`)
         scores.write(path)
     out = console()
     for of in (eve_table, velocity_table, picture_table, around_table, light_table, published_table):

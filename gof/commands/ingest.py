@@ -27,7 +27,6 @@ from gof.footage.lens import Turn
 from gof.footage.videos import has_pictures, require_different, stated_fps, videos_of_take
 from gof.host.options import require_all_positive, require_number, require_positive
 from gof.ingest.accelerometer import read_tilt
-from gof.ingest.evidence import KnownRig, PoseOptions, Solver
 from gof.ingest.fire_free import PlateKind, PlateOptions
 from gof.ingest.focal import is_findable, phones_in_words
 from gof.ingest.footage import Footage
@@ -36,6 +35,7 @@ from gof.ingest.marked_points import read_points
 from gof.ingest.pipeline import Ingested, is_made_of, make_dataset, require_new
 from gof.ingest.place import require_no_more
 from gof.ingest.plates import MOST_FIRE_LEFT, find_plates
+from gof.ingest.pose_clues import KnownRig, PoseOptions, Solver
 from gof.ingest.published import PublishedFootage, is_published
 from gof.ingest.up import UpChoice
 

@@ -186,7 +186,7 @@ def main(argv: list[str]) -> int:
     return 0
 
 
-# ---------------------------------------------------------------- what was asked
+# ---------------------------------------------------------------- what is wanted
 
 
 def _check(config: VideoConfig, style: FilmStyle) -> None:

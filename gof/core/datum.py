@@ -63,7 +63,7 @@ class Datum:
 
 
 # ----------------------------------------------------------------
-# What float32 rounds off. Results hold times and places as float32, which knows seven digits and no more.
+# The part that float32 rounds off. Results hold times and places as float32, which knows seven digits and no more.
 
 MOST = 0.01  # of the least difference that matters
 

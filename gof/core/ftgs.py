@@ -16,7 +16,7 @@ from .gaussians import TransientGaussians
 from .ply import Ply, exp, splat_columns, write
 
 MIN_DURATION = 0.02  # of the sequence; its renderer never uses a shorter one
-# What vanilla files say where they say it, in the file or in its "model_spec"; its own validator rejects all else.
+# Settings of vanilla files that state them, in the file or in its "model_spec"; its own validator rejects all else.
 VANILLA = {
     "time_units": "normalized",
     "duration_activation": "exp",

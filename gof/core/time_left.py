@@ -69,7 +69,7 @@ class MachineLoad:
         cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
         least_cpu_s = least_clock_s = math.inf
         with ThreadPoolExecutor(cores) as threads:
-            list(threads.map(_probe, [1] * cores))  # the first is slower: threads start, memory is asked for
+            list(threads.map(_probe, [1] * cores))  # the first is slower: threads start and take memory
             for _ in range(PROBES):
                 start = time.perf_counter()
                 cpu_s = sum(threads.map(_probe, [PROBE_ROUNDS] * cores)) / cores

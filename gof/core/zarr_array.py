@@ -28,7 +28,7 @@ TYPES = ("float16", "float32", "float64")
 ORDERS: dict[str, Literal["<", ">"]] = {"little": "<", "big": ">"}
 PACKINGS = ("gzip", "zstd")
 REMEDY = "write it with zarr.create_array(..., compressors=zarr.codecs.GzipCodec())"
-MOST_CHUNKS = 2**15  # of an index of the first axis; each is asked for, stored or not
+MOST_CHUNKS = 2**15  # of an index of the first axis; each is looked for, stored or not
 GZIP_LEVEL = 5  # as the add-on's writer
 EVERY_FRAME = "every_frame_stored"  # attribute: each index of the first axis has a chunk, so one without has lost it
 DAMAGE = (OSError, ValueError, EOFError, zlib.error)

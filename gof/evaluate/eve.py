@@ -261,7 +261,7 @@ def _jackknife(values: list[float | None]) -> float | None:
 
 # ---------------------------------------------------------------- gradients
 #
-# Of a result and of the truth: the central difference over one cell of the true grid to each side of a place. Where no
+# For a result and the truth, the central difference over one cell of the true grid to each side of a place. Where no
 # Gaussian is on one of the six sides, a result says nothing of how the flow changes, and its gradient counts as zero.
 #
 #     vorticity   sqrt( sum |w - W|^2 / sum |W|^2 )            w, W: curl of the result's and of the true velocity

@@ -23,7 +23,7 @@ from gof.host.threads import map_beside
 Progress = Callable[..., None]  # progress(done, total, stage=...)
 Weights = np.ndarray | None  # (H, W) what a pixel counts for, 0..1; None = all count
 Background = np.ndarray | tuple[float, float, float]  # (H, W, 3) display values, or one colour
-# Of a picture and its truth, (H, W, 3): a score with each of the weights.
+# A picture and its truth, (H, W, 3), to a score with each of the weights.
 Metric = Callable[[np.ndarray, np.ndarray, Sequence[Weights]], Sequence[float | None]]
 
 BLACK = (0.0, 0.0, 0.0)

@@ -23,7 +23,7 @@ POOL_BYTES = 1 << 30  # larger pools are worked through in parts
 KEPT_BYTES = 1 << 28  # of the fields of other times
 FAR = 1e6  # cells, exact in float32; what is farther out is put here, where no node of a sane Gaussian reaches the grid
 FEW = 4  # chunks of a grid so small that finding out which are touched takes longer than reading them all
-MARGIN = 2  # cells around what is asked for: the upper corners
+MARGIN = 2  # cells around the wanted ones: the upper corners
 
 
 @dataclass(frozen=True)

@@ -95,7 +95,7 @@ class VideoInfo:
         least = self.stated_frames - max(CUT_FRAMES, CUT_SHARE * self.stated_frames)
         if self.frames >= least or self.stamps_s is None or self.usual_step_s is None or not self.stated_fps:
             return self.frames < least
-        # Of a variable rate the stated count can be an estimate; the last stamp tells.
+        # At a variable rate the stated count can be an estimate; the last stamp tells.
         return (self.stamps_s[-1] - self.stamps_s[0] + self.usual_step_s) * self.stated_fps < least
 
 

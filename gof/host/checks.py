@@ -125,7 +125,7 @@ def check_torch() -> Outcome:
     return "broken", f"import torch fails: {last_line(done.stderr)}"
 
 
-# What a kernel was compiled with: LLVM's version and library, and Dr.Jit's lanes.
+# A kernel's compiler: LLVM's version and library, and Dr.Jit's lanes.
 KERNEL = """
 import gof.render.backend  # says why Dr.Jit does not begin
 import drjit as dr, drjit.detail as d

@@ -8,7 +8,7 @@ import signal
 import subprocess
 import sys
 
-# What "-P" does, for Python 3.10, which lacks it. `sys` is part of the interpreter, so no file of its name is read.
+# As "-P" does, for Python 3.10, which lacks it. `sys` is part of the interpreter, so no file of its name is read.
 WITHOUT_FOLDER = "import sys; sys.path[:] = [p for p in sys.path if p]\n"
 RUN_MODULE = "import runpy; runpy.run_module({0!r}, run_name='__main__', alter_sys=True)"
 

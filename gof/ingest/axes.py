@@ -13,8 +13,8 @@ from gof.footage.lens import Lens
 from gof.ingest import adjust, sfm
 from gof.ingest.accelerometer import up_from_tilts
 from gof.ingest.adjust import meetings
-from gof.ingest.evidence import Evidence, PoseOptions
 from gof.ingest.marked_points import MarkedPoint
+from gof.ingest.pose_clues import PoseClues, PoseOptions
 from gof.ingest.sfm import PoseError
 from gof.ingest.up import MOST_SPREAD_DEG, RESAMPLED, Edges, angle_deg, cameras_up, up_from_board, up_from_edges
 
@@ -41,7 +41,7 @@ def metric_scale(poses: np.ndarray, check: PointCheck | None, options: PoseOptio
 
 
 def find_up(
-    poses: np.ndarray, clip: Evidence, points: list[MarkedPoint], lenses: list[Lens], options: PoseOptions
+    poses: np.ndarray, clip: PoseClues, points: list[MarkedPoint], lenses: list[Lens], options: PoseOptions
 ) -> tuple[np.ndarray, UpReport, tuple[str, ...]]:
     """Return the vertical (3,) in the poses' world by `options.up`, and what a user should know of ways that led
     nowhere.

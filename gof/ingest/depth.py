@@ -214,9 +214,9 @@ def write_plate_depths(dataset: Dataset, weights: Path | None = None, overwrite:
 # ----------------------------------------------------------------
 # Depth maps of single frames, fire and all: what scores of depth compare a result's depth with (`gof depth`).
 #
-# By a monocular network, as the paper has it, or without its weights by stereo between the cameras. Of held-out frames
-# too: these maps are for scores, nothing may learn from them, and made_from.json says
-# of each which frame it was made of.
+# By a monocular network, as the paper has it, or without its weights by stereo between the cameras. Held-out frames too
+# have one: these maps are for scores, nothing may learn from them, and made_from.json says of each which frame it was
+# made of.
 
 KINDS = ("depth", "disparity")
 

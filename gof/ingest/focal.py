@@ -20,7 +20,7 @@ from gof.ingest.adjust import ZoomedModel
 
 FEWEST_CAMERAS = 3
 STARTS_DEG = (42.0, 95.0, 27.0)  # along the longer side, far from each other and from a phone's main camera
-BESIDE = (1 / 1.15, 1.15)  # focal lengths beside an end that one start alone reaches, of which it is asked again
+BESIDE = (1 / 1.15, 1.15)  # focal lengths beside an end that one start alone reaches, which is then begun from again
 GATES_PX = (8.0, 3.0, 2.0)  # epipolar gates, each followed by an adjustment
 ENOUGH, SAME = 3, 0.01  # starts that end within this share of each other: two may share a wrong end
 NEARLY = 1.1  # of the best start's miss: another start that ends so well is a rival

@@ -22,10 +22,10 @@ from gof.footage.steadying import FrameCorrection
 from gof.footage.videos import VideoInfo, chosen_frames, read_info, require_different
 from gof.host.terminal import progress_bar
 from gof.ingest.agreement import other_notes, require_one_film_each, require_square_pixels, turns_by_tags
-from gof.ingest.evidence import Evidence, PoseOptions
 from gof.ingest.focal import FEWEST_CAMERAS, ChosenLenses, LensSearch, require_findable, start_search
 from gof.ingest.frame_times import FrameTimes, Timing, read_frame_times
 from gof.ingest.place import Placed, place_cameras
+from gof.ingest.pose_clues import PoseClues, PoseOptions
 
 
 @dataclass(frozen=True)
@@ -187,7 +187,7 @@ class Footage:
         """Return which frames are used, and when they were taken. Raises GofError as `read_frame_times`."""
         return read_frame_times(timing, list(self.infos)).turned(self.turns)
 
-    def place(self, clips: list[Evidence], options: PoseOptions) -> Placed:
+    def place(self, clips: list[PoseClues], options: PoseOptions) -> Placed:
         """Return the cameras' poses, from this clip and others of the same rig; see `place_cameras`."""
         return place_cameras(clips, self.upright_lenses, self.names, self.world_to_camera, options, self.search)
 
@@ -251,7 +251,7 @@ def _poses(cameras: list[CalibratedCamera]) -> np.ndarray | None:
 
 
 # ----------------------------------------------------------------
-# What a dataset made from footage holds of each camera: its plate, pictures and masks, at the size they are stored.
+# Files of each camera in a dataset made from footage: its plate, pictures and masks, at the size they are stored.
 
 
 @dataclass(frozen=True)

@@ -21,7 +21,6 @@ from gof.dataset.poses import Poses
 from gof.footage.steadying import by_number, look, steady
 from gof.footage.videos import fingerprint
 from gof.host.terminal import progress_bar
-from gof.ingest.evidence import Evidence, PoseOptions
 from gof.ingest.fire_free import PlateOptions, make_plates, outside
 from gof.ingest.footage import (
     Footage,
@@ -36,6 +35,7 @@ from gof.ingest.footage import (
 from gof.ingest.frame_times import FrameTimes, Timing
 from gof.ingest.over_time import darkest
 from gof.ingest.place import Placed, place_alone
+from gof.ingest.pose_clues import PoseClues, PoseOptions
 from gof.ingest.published import CAMERAS_FILE, is_published
 
 WRITTEN = ("cameras", "static", "depth", "points.ply", POSES, CAMERAS_FILE)  # names in the folder, but for records
@@ -185,7 +185,7 @@ def _make(
     # ---- plates ------------------------------------------------------------------------------------------------------
     with log.measure("plates") as figures:
         figures["plate"] = plate.source
-        more = [evidence_of(other, pose_options) for other in others]
+        more = [clues_of(other, pose_options) for other in others]
         passes = [plate.passes] * len(known) + [1] * len(beyond)
         with watched("plates", [*known, *beyond], passes) as seen:
             elsewhere = [[other.plates[c] for other in more] for c in range(len(known))]
@@ -195,12 +195,12 @@ def _make(
     # ---- poses -------------------------------------------------------------------------------------------------------
     with log.measure("poses") as figures:
         with watched("poses: read", known, [1 + (pose_options.board is not None)] * len(known)) as seen:
-            evidence = Evidence.of(out.name, seen, fire_free.lowest, pose_options)
+            clues = PoseClues.of(out.name, seen, fire_free.lowest, pose_options)
             if len(seen) == 1 and footage.world_to_camera is None:
                 lens, plate_picture = footage.upright_lenses[0], fire_free.pictures[0]
-                placed = place_alone(seen[0], plate_picture, lens, evidence, pose_options)
+                placed = place_alone(seen[0], plate_picture, lens, clues, pose_options)
             else:
-                placed = footage.place([evidence, *more], pose_options)
+                placed = footage.place([clues, *more], pose_options)
         footage = footage.seen_through(placed.lenses)
         figures.update(method=placed.report.method, points=len(placed.points))
     cameras = placed_cameras(footage, times, placed)
@@ -316,13 +316,13 @@ def derived_files(stored: list[StoredView], placed: Placed, plates_of_clip: bool
     return files
 
 
-def evidence_of(footage: Footage, options: PoseOptions) -> Evidence:
-    """Return evidence of the poses from another clip of the rig. Still things need no times: all frames are used."""
+def clues_of(footage: Footage, options: PoseOptions) -> PoseClues:
+    """Return clues to the poses from another clip of the rig. Still things need no times: all frames are used."""
     name = footage.videos[0].parent.name
     everything = footage.all_clips()
     everything = steadied_clips(footage, everything, [], range(min(map(len, everything)))).clips
     with watched(f"read {name}", everything, [2 + (options.board is not None)] * len(everything)) as clips:
-        return Evidence.of(name, clips, [darkest(clip) for clip in clips], options)
+        return PoseClues.of(name, clips, [darkest(clip) for clip in clips], options)
 
 
 # ---- cameras ---------------------------------------------------------------------------------------------------------

@@ -16,9 +16,9 @@ from gof.footage.flame_mask import flame_mask
 from gof.footage.lens import Lens
 from gof.ingest import adjust, sfm
 from gof.ingest.axes import find_up, metric_scale, upright_world
-from gof.ingest.evidence import MIN_JUDGED, Evidence, PoseOptions, require_still
 from gof.ingest.focal import ChosenLenses, LensSearch, choose_lenses
 from gof.ingest.marked_points import MarkedPoint
+from gof.ingest.pose_clues import MIN_JUDGED, PoseClues, PoseOptions, require_still
 
 MIN_CONSISTENT = 0.6  # share of a pair's raw matches that must obey the poses
 MAX_POINT_PX = 1.5  # mean reprojection error of board or hand-marked points above which poses are not believed
@@ -40,7 +40,7 @@ class Placed:
 
 
 def place_cameras(
-    clips: list[Evidence],
+    clips: list[PoseClues],
     lenses: list[Lens],
     names: list[str],
     given: np.ndarray | None,
@@ -113,7 +113,7 @@ def place_cameras(
     return Placed(world_to_camera, cloud, report, seen_through)
 
 
-def _all_points(clips: list[Evidence], options: PoseOptions) -> list[MarkedPoint]:
+def _all_points(clips: list[PoseClues], options: PoseOptions) -> list[MarkedPoint]:
     """Return points by hand, then every clip's board. Coordinates of points by hand have no origin in common with the
     board's: those given by hand decide."""
     points = [replace(p, board=number) for number, clip in enumerate(clips) for p in clip.board]
@@ -233,7 +233,7 @@ STEEPEST_DEG = 60.0  # a camera that looks up or down more than this hardly sees
 
 
 def place_alone(
-    clip: Collection[np.ndarray], plate: np.ndarray, lens: Lens, evidence: Evidence, options: PoseOptions
+    clip: Collection[np.ndarray], plate: np.ndarray, lens: Lens, clues: PoseClues, options: PoseOptions
 ) -> Placed:
     """Return the pose of the only camera; the world's y axis is its view, made level, and z is up.
 
@@ -245,7 +245,7 @@ def place_alone(
             up or down.
     """
     require_no_more(options.by_hand, options.marker_m, options.baseline_m, options.rig, options.solver)
-    up, how, warnings = find_up(np.eye(4)[None], evidence, [], [lens], options)
+    up, how, warnings = find_up(np.eye(4)[None], clues, [], [lens], options)
     tip, foot = flame_ends(clip, plate)
     forward = np.array([0.0, 0.0, 1.0]) - up[2] * up
     if abs(up[2]) > np.sin(np.deg2rad(STEEPEST_DEG)):

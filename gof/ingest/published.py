@@ -30,11 +30,11 @@ from gof.dataset import Splits, held_out
 from gof.dataset.poses import PoseReport
 from gof.footage.lens import CAMERA_AXES, Lens, Turn, straightening
 from gof.ingest.axes import upright_world
-from gof.ingest.evidence import Evidence, PoseOptions
 from gof.ingest.footage import Footage
 from gof.ingest.frame_times import FrameTimes, Timing
 from gof.ingest.pairing import pair
 from gof.ingest.place import Placed
+from gof.ingest.pose_clues import PoseClues, PoseOptions
 
 META = "meta.npz"
 ZOOM = 1.03  # of their undistorted camera, so that no black borders are left
@@ -193,7 +193,7 @@ class PublishedFootage(Footage):
             meta.camera_matrix[camera], meta.dist_coeffs[camera], self.lenses[camera], self.turns[camera]
         )
 
-    def place(self, clips: list[Evidence], options: PoseOptions) -> Placed:
+    def place(self, clips: list[PoseClues], options: PoseOptions) -> Placed:
         """As published. Raises GofError: an option names a way up."""
         options.require_own_up("those that the scene brings")
         points = self.meta.points3D @ self.transform[:3, :3].T + self.transform[:3, 3]

@@ -294,7 +294,7 @@ def _largest_model(pycolmap: ModuleType, work: Path, database: Path) -> Any | No
     mapping.ba_refine_focal_length = False
     mapping.ba_refine_principal_point = False
     mapping.ba_refine_extra_params = False
-    # As for the matches: less is asked for than COLMAP's defaults do.
+    # As for the matches: limits are lower than COLMAP's defaults.
     mapping.mapper.init_min_num_inliers = 20
     mapping.mapper.init_min_tri_angle = 1.5
     mapping.mapper.abs_pose_min_num_inliers = 10

@@ -15,7 +15,7 @@ from gof.core.similarity import Y_UP
 from gof.host import extras
 
 SUFFIXES = (".spz", ".sog")
-# What .spz can hold: places of 24 bits in steps of 1/4096 m, sizes, colours and harmonics of 8 bits each.
+# Limits of .spz: places of 24 bits in steps of 1/4096 m, sizes, colours and harmonics of 8 bits each.
 SPZ_REACH_M = 2**23 / 4096
 SPZ_RANGES = {"scale_": (-10.0, 255 / 16 - 10), "f_dc_": (-0.5 / 0.15, 0.5 / 0.15), "f_rest_": (-1.0, 127 / 128)}
 SPZ_NAMES = {"scale_": "sizes", "f_dc_": "colours", "f_rest_": "colours that change with the direction"}

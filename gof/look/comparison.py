@@ -218,7 +218,7 @@ def largest_errors(drawn: Sequence[np.ndarray], recorded: np.ndarray, count: int
 # ----------------------------------------------------------------
 # A picture, the plate that was made of the clip, and what was taken out: what the removal of the fire is worth.
 
-# Of `gof ingest --plates`, by provenance.
+# By provenance, as `gof ingest --plates` writes it.
 PLATE_KINDS = {"steady": "background (steady light)", "minimum": "background (minimum)"}
 
 

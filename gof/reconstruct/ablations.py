@@ -65,7 +65,7 @@ def change_schedule(ablation: Ablation, schedule: Schedule) -> Schedule:
     if ablation == "no-mask":
         return replace(schedule, alpha_loss=0.0)
     if ablation == "joint-opt":
-        # What is light above a plate, no one knows who does not know the plate.
+        # Light above a plate cannot be told from it where the plate is unknown.
         rates = replace(schedule.rates, plate=PLATE_RATE)
         return replace(schedule, rates=rates, plate_loss=0.0, unseen=0.0)
     return schedule

@@ -21,16 +21,16 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from zipfile import BadZipFile
 
 import numpy as np
 
 from gof.core.errors import DataFormatError, GofError
+from gof.core.npz import read_npz
 from gof.host.threads import map_on_cores
 from gof.reconstruct.flame_axis import CrossSections, FlameAxis
 from gof.reconstruct.flow_field import FlowField, FrameField
 from gof.reconstruct.log_light import LogLight, slope
-from gof.reconstruct.pace import USUAL, Pace, PaceClues
+from gof.reconstruct.mean_speed import USUAL, MeanSpeed, SpeedClues
 from gof.reconstruct.several_flames import alone, several_flames
 
 WEIGHTS = Path(__file__).with_name("flow_prior.npz")
@@ -59,7 +59,7 @@ FEATURES = (
 """Inputs of the network for a voxel in a frame. Lengths are over the flame's length or radius, speeds over the mean
 seen speed, times over the time in which what is seen crosses a radius. Nothing is the same all over a clip: by such
 numbers a network would know its flames again."""
-VOXELS = 72  # along the longest side of the flame's box: the flow fields that it learns from, and is asked on
+VOXELS = 72  # along the longest side of the flame's box: the flow fields that it learns from, and corrects
 VECTORS = 5
 LIMIT = 6.0  # features beyond this say no more; a strange flame must not drive the network far outside its training
 FINE, COARSE = 1.5, 4.0  # voxels, std-dev of the brightness whose slopes are features
@@ -93,7 +93,7 @@ class FlowPrior:
     deviation: np.ndarray
     velocity: Network
     uncertainty: Network
-    pace: Pace
+    pace: MeanSpeed
 
     @classmethod
     def load(cls, path: Path = WEIGHTS) -> FlowPrior:
@@ -102,10 +102,7 @@ class FlowPrior:
         Raises:
             DataFormatError: not such a file, or one trained for other features.
         """
-        try:
-            data = dict(np.load(path, allow_pickle=False))
-        except (OSError, ValueError, BadZipFile) as error:
-            raise DataFormatError(f"{path}: cannot read the flow prior's weights ({error})") from error
+        data = read_npz(path)
         try:
             features = [str(f) for f in data["features"]]
             prior = cls(
@@ -113,7 +110,7 @@ class FlowPrior:
                 data["deviation"],
                 _network(data, "velocity"),
                 _network(data, "uncertainty"),
-                Pace(data["pace_metric"], data["pace_unitless"]),
+                MeanSpeed(data["pace_metric"], data["pace_unitless"]),
             )
         except KeyError as missing:
             raise DataFormatError(f"{path}: not the weights of a flow prior ({missing} is missing)") from missing
@@ -147,7 +144,7 @@ class FlowPrior:
         flame = several_flames(field)
         apart = {k: FlameDescriber.of(alone(field, flame == k)) for k in range(flame.max() + 1)}
         flames = {k: describer for k, describer in apart.items() if describer is not None}
-        clues = [PaceClues.of(describer.axis, describer.log_light) for describer in flames.values()]
+        clues = [SpeedClues.of(describer.axis, describer.log_light) for describer in flames.values()]
         paces = self.pace.side_by_side(clues, metres)
 
         def correct_frame(f: int) -> FrameField:  # all features of a clip at once would take gigabytes

@@ -205,7 +205,7 @@ class Flame:
         self._kept: dict[str, Any] = {"datum": seeds.datum}
         if not schedule.density_control:
             self._kept |= {"gas_velocity": gas_velocity, "velocity_sd": seeds.velocity_sd}
-        # What the side misses of a needle, its views light again.
+        # Light that the side misses of a needle comes back in its views.
         self._blunts = schedule.unseen > 0 and is_one_sided(self.cameras, np.median(seeds.position, axis=0))
         self.start_s = float(self.read_s.min())
         plates = surroundings.unknowns()

@@ -21,7 +21,7 @@ LN_2 = 0.6931471805599453
 BLOCK_LANES = 256  # blocks that a thread takes at a time
 GEOMETRY = 6  # mean_x, mean_y, a, b, c, log2_opacity
 # Many lanes add to one Gaussian: on a CPU each thread to a copy of its own. On a GPU one by one, four floats at a time;
-# Dr.Jit takes them singly there where it is asked for copies.
+# Dr.Jit takes them singly there where it has to make copies.
 ADDED = dr.ReduceMode.Direct if BACKEND == "cuda" else dr.ReduceMode.Expand
 
 
@@ -211,7 +211,7 @@ def _walk(
 
         return dr.while_loop((UInt(start), *state), lambda i, T, *_: _more(i, end, T), take)[1:]
 
-    # What is fetched now is used a turn later: nothing else hides the latency of a GPU's memory from so few lanes.
+    # Each fetch is used a turn later: nothing else hides the latency of a GPU's memory from so few lanes.
     def take_and_fetch(i, gaussian, record, following, *state):
         next_record = _fetch(records, following, n_columns)
         after = dr.gather(UInt, lists.gaussian, i + 2, i + 2 < end)

@@ -11,8 +11,8 @@ from gof.core.records import write_record
 from gof.dataset import Dataset
 from gof.footage.lens import Lens
 from gof.ingest.accelerometer import Tilt
-from gof.ingest.evidence import Evidence, PoseOptions
 from gof.ingest.place import flame_ends, place_alone
+from gof.ingest.pose_clues import PoseClues, PoseOptions
 
 WIDTH, HEIGHT, FOV_DEG, FRAMES = 160, 240, 40.0, 12
 TIP, FOOT, COLUMN = 60, 180, 90  # rows in which the flame ends, and the column of its middle
@@ -137,8 +137,8 @@ def test_a_tilted_camera_sees_the_same_height():
     options = PoseOptions(
         flame_height_m=0.4, up="accelerometer", tilts=(Tilt(np.array([0.0, -np.cos(tilt), np.sin(-tilt)])),)
     )
-    evidence = Evidence("clip", [still], [np.ones((HEIGHT, WIDTH), bool)], [], [])
-    placed = place_alone(shown, still, lens, evidence, options)
+    clues = PoseClues("clip", [still], [np.ones((HEIGHT, WIDTH), bool)], [], [])
+    placed = place_alone(shown, still, lens, clues, options)
     pose = placed.world_to_camera[0]
     assert pose[:3, :3] @ pose[:3, :3].T == pytest.approx(np.eye(3), abs=1e-12)
     for point, row in ((np.array([0, 0, 0, 1.0]), FOOT), (np.array([0, 0, 0.4, 1.0]), TIP)):

@@ -11,7 +11,7 @@ import pytest
 from gof.core.errors import DataFormatError
 from gof.reconstruct.flame_axis import FlameAxis
 from gof.reconstruct.flow_prior import FEATURES, VECTORS, FlameDescriber, FlowPrior, evaluate_network
-from gof.reconstruct.pace import Pace
+from gof.reconstruct.mean_speed import MeanSpeed
 from tests.reconstruct.plumes import box_of_voxels, changed, field_of, plume
 
 
@@ -104,7 +104,7 @@ def giving(vector: int, coefficient: float, uncertainty: float = 0.0) -> FlowPri
     count = len(FEATURES)
     velocity = [(np.zeros((1, count, VECTORS), np.float32), bias)]
     unsure = [(np.zeros((1, count, 1), np.float32), np.full((1, 1, 1), uncertainty, np.float32))]
-    return FlowPrior(np.zeros(count), np.ones(count), velocity, unsure, Pace(LINE, LINE))
+    return FlowPrior(np.zeros(count), np.ones(count), velocity, unsure, MeanSpeed(LINE, LINE))
 
 
 @pytest.mark.parametrize("vector", range(VECTORS))

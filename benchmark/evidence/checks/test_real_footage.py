@@ -21,7 +21,7 @@ def sliding(tmp_path_factory):
     plates = np.full((2, 96, 48, 3), 0.02)
     folder = tmp_path_factory.mktemp("sliding") / "data"
     masks = np.ones((9, 2, 96, 48))
-    masks[..., :8] = masks[..., -8:] = 0  # what comes in at the side nobody has seen before
+    masks[..., :8] = masks[..., -8:] = 0  # content that comes in at the side is new
     return write_dataset(folder, cameras, np.stack(frames), plates, 0.01 * np.arange(9), masks=masks, test_frames=(4,))
 
 

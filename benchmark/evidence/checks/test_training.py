@@ -9,7 +9,7 @@ import pytest
 torch = pytest.importorskip("torch")
 
 from gof.reconstruct.flow_prior import FEATURES, VECTORS, evaluate_network  # noqa: E402
-from gof.reconstruct.pace import PaceClues  # noqa: E402
+from gof.reconstruct.mean_speed import SpeedClues  # noqa: E402
 from gof_benchmark.training.flow_prior import (  # noqa: E402
     LitVoxels,
     Scaling,
@@ -64,7 +64,7 @@ def test_a_pace_that_is_too_high_is_an_error():
 
 def test_the_pace_is_not_learned_from_flames_that_lie():
     """Five flames whose gas is twice as fast as it looks, and one that lies, whose gas is nine times as fast."""
-    clues = PaceClues(seen=1.0, buoyant=4.5, carried=0.6, slenderness=0.14, energy=1.0)
+    clues = SpeedClues(seen=1.0, buoyant=4.5, carried=0.6, slenderness=0.14, energy=1.0)
     flames = [TrainingFlame(clues, 2.0, samples(10), True)] * 5 + [TrainingFlame(clues, 9.0, samples(10), False)]
     assert fitted_pace([SimpleNamespace(flames=flames)]).of(clues) == pytest.approx(2.0)
 

@@ -222,7 +222,7 @@ def _table(case: Path, pattern: str) -> dict[float, list[float]]:
 # (Kirchhoff). The volume fraction f_v of soot is taken as one part in a million where it is richest: the one factor
 # that is not known.
 #
-# What "T" means there is the question. A large-eddy simulation's temperature is a mean over cells of a centimetre, in
+# The meaning of "T" is the question. A large-eddy simulation's temperature is a mean over cells of a centimetre, in
 # which the hot sheet, a millimetre thick, is mixed with cold gas. Two laws:
 #
 # `planck`      the mean temperature itself. Exact for a resolved flame; here it lights the few hottest cells only.

@@ -42,7 +42,7 @@ def build(spec: SceneSpec, collection: bpy.types.Collection) -> None:
             bpy.data.objects.remove(object_)  # also for its name, which may be one of ours
             continue
         _place(object_, pose, scale)
-        # What is hidden may shape others all the same, by a modifier of theirs.
+        # A hidden object may shape others all the same, by a modifier of theirs.
         if object_ is marker or is_obstacle(object_) or not object_.hide_render:
             collection.objects.link(object_)
     ours = bpy.context.scene
@@ -112,9 +112,9 @@ def _place(object_: bpy.types.Object, pose: Matrix, scale: float) -> None:
 
 
 # ----------------------------------------------------------------
-# What may come in from a .blend that anybody may have made: how it looks, and nothing else of this disk.
+# From a .blend that anybody may have made only its look comes in, and nothing else of this disk.
 #
-# A .blend names files: whatever Blender packs would be published with the dataset, whoever's it is.
+# A .blend names files: whatever Blender packs would be published with the dataset, also another person's.
 
 PICTURES = {".png", ".jpg", ".jpeg", ".exr", ".hdr", ".tif", ".tiff", ".tga", ".bmp", ".webp", ".jp2", ".dds", ".psd"}
 

@@ -32,7 +32,7 @@ from gof.io.importers import (
 from gof.io.importers.sidecar import in_words, with_sidecar
 from gof.io.importers.source import FLAGS, Imported, ImportOptions, Source
 
-# in the order in which they are asked; `refused` explains what is recognised and has no velocities
+# in the order in which they look at a file; `refused` explains what is recognised and has no velocities
 METHODS = {
     "gof": gof_files,
     "authors": paper_code,

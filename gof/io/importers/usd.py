@@ -24,7 +24,7 @@ from gof.io.importers.source import Imported, ImportOptions, Source, require_uni
 OPTIONS = ("time_unit_s", "time_zero_s")
 SUFFIXES = (*u.SUFFIXES, ".usd", ".usdz")
 MOST_STATES = 100_000_000  # samples times Gaussians: some gigabytes
-DOUBT = 0.3  # relative L2 between stored velocities and differences of places, from which on a note says so
+LARGE = 0.3  # relative L2 between stored velocities and differences of places, from which on a note says so
 
 
 def matches(source: Source) -> bool:
@@ -373,5 +373,5 @@ def _doubted(part: _States, times_s: np.ndarray) -> list[str]:
     longest = max(float(np.linalg.norm(change)), float(np.linalg.norm(stored)), 1e-12)
     off = np.linalg.norm(stored - change) / longest
     return (
-        [f"its velocities differ from its places' differences by {off:.0%}, as those of gas may"] if off > DOUBT else []
+        [f"its velocities differ from its places' differences by {off:.0%}, as those of gas may"] if off > LARGE else []
     )

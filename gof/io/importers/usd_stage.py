@@ -52,7 +52,7 @@ def open_stage(path: Path) -> Iterator[Any]:
     """Give a stage of the file. Raises DataFormatError: OpenUSD cannot read it, or something in it."""
     Tf, Usd = map(_part, ("Tf", "Usd"))
 
-    # What OpenUSD would print; what matters of it stands in the notes. 26.3 has no such trap, and prints.
+    # OpenUSD's own words; what matters of them stands in the notes. 26.3 has no such trap, and prints.
     with getattr(Tf, "DiagnosticTrap", nullcontext)() as trap:
         try:
             _look_over(path)

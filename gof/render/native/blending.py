@@ -42,7 +42,7 @@ from gof.render.native.lanes import (
 )
 from gof.render.native.lists import RECORD, rows_of
 
-AHEAD = 32  # pairs whose records are asked for before they are needed
+AHEAD = 32  # pairs whose records are fetched before they are needed
 LN_2, TWO = np.float32(LN_2_F64), np.float32(2)
 ALL_ROWS = 1 << 16
 NEVER = np.float32(np.inf)

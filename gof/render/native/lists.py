@@ -34,7 +34,7 @@ RECORD, SHAPE = 16, 4  # floats
 DIGIT = 11  # bits that a pass of the radix sort looks at
 ROWS_AT_ONCE = LANES // BLOCK
 FAR = np.float32(1e6)  # pixels
-AHEAD = 24  # Gaussians whose data are asked for before they are needed
+AHEAD = 24  # Gaussians whose data are fetched before they are needed
 
 
 @part

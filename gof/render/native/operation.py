@@ -19,7 +19,7 @@ from gof.render.blend import GEOMETRY, as_plane, hand_back
 from gof.render.native import blending, lists
 from gof.render.native.threads import even_parts, run, thread_count
 
-CHUNKS = 16  # parts of the picture for each thread; whoever is free takes the next
+CHUNKS = 16  # parts of the picture for each thread; a free thread takes the next
 REPEATABLE_CHUNKS = 64  # in deterministic mode, however many threads there are
 REPEATABLE_PARTS = 4  # sums of gradients in deterministic mode, however many threads there are
 MOST_BLOCKS = 0xFFFF  # along a side: two of these share a word
@@ -159,7 +159,7 @@ class NativeBlend(dr.CustomOp):
         parts, taken = len(sums), _none_taken()
 
         def work(p):
-            # Whoever is free takes the next chunk; repeatable is only what is given out beforehand.
+            # A free thread takes the next chunk; repeatable is only what is given out beforehand.
             own = (np.ascontiguousarray(chunks[p::parts]), _none_taken()) if self.deterministic else (chunks, taken)
             args = (self.records, band.gaussians, band.start, *own, self.columns, band.first_row, self.planes, grads)
             blending.backward(*args, self.max_alpha, True if self.absgrad else None, sums[p])

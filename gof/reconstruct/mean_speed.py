@@ -32,7 +32,7 @@ TEXTURE = 1.5  # voxels, std-dev of the light that is looked at
 
 
 @dataclass(frozen=True)
-class PaceClues:
+class SpeedClues:
     """Clues to the pace of a clip.
 
     Attributes:
@@ -50,7 +50,7 @@ class PaceClues:
     energy: float
 
     @classmethod
-    def of(cls, axis: FlameAxis, log_light: LogLight) -> PaceClues:
+    def of(cls, axis: FlameAxis, log_light: LogLight) -> SpeedClues:
         return cls(
             seen=axis.seen_speed,
             buoyant=buoyant_speed(axis),
@@ -110,7 +110,7 @@ def carried_speed(axis: FlameAxis, log_light: LogLight) -> float:
 
 
 @dataclass(frozen=True)
-class Pace:
+class MeanSpeed:
     """A line: log of (mean speed of the gas over the seen one) = weights . (1, clues).
 
     Attributes:
@@ -121,12 +121,12 @@ class Pace:
     metric: np.ndarray
     unitless: np.ndarray
 
-    def of(self, clues: PaceClues, metres: bool = True) -> float:
+    def of(self, clues: SpeedClues, metres: bool = True) -> float:
         """Mean speed of the flame's gas, weighted by light, m/s."""
         weights = self.metric if metres else self.unitless
         return clues.seen * float(np.exp(weights @ [1, *clues.logs]))
 
-    def side_by_side(self, clues: Sequence[PaceClues], metres: bool = True) -> list[float]:
+    def side_by_side(self, clues: Sequence[SpeedClues], metres: bool = True) -> list[float]:
         """Mean speeds of the gas of flames that burn side by side, m/s.
 
         The same fuel burns in the same air, so their gas is the same multiple of what buoyancy would make of each of
@@ -142,7 +142,7 @@ class Pace:
         return (buoyant * np.exp(np.average(np.log(apart / buoyant), weights=energy))).tolist()
 
     @classmethod
-    def fit(cls, clues: Sequence[PaceClues], speed: Sequence[float]) -> Pace:
+    def fit(cls, clues: Sequence[SpeedClues], speed: Sequence[float]) -> MeanSpeed:
         """Fit the line through flames whose mean speed, m/s, is known (ridge regression; the constant is free)."""
         design = np.stack([[1, *flame.logs] for flame in clues])
         factor = np.log([true / flame.seen for true, flame in zip(speed, clues, strict=True)])

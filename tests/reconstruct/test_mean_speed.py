@@ -8,7 +8,7 @@ import pytest
 from gof.reconstruct.flame_axis import FlameAxis
 from gof.reconstruct.flow_field import FlowField
 from gof.reconstruct.log_light import LogLight
-from gof.reconstruct.pace import FARTHEST, Pace, PaceClues, buoyant_speed, carried_speed
+from gof.reconstruct.mean_speed import FARTHEST, MeanSpeed, SpeedClues, buoyant_speed, carried_speed
 from tests.reconstruct.plumes import box_of_voxels, field_of
 
 STEP_S = 0.01  # between the frames of field_of
@@ -23,8 +23,8 @@ def column(height_m: float = 1.5, seen: float = 0.5, radius_m: float = 0.05, ban
     return field_of(voxels, [velocity] * 3, [round_flame * bands(z, f * STEP_S) for f in range(3)])
 
 
-def clues_of(field: FlowField) -> PaceClues:
-    return PaceClues.of(FlameAxis.of(field), LogLight.of(field))
+def clues_of(field: FlowField) -> SpeedClues:
+    return SpeedClues.of(FlameAxis.of(field), LogLight.of(field))
 
 
 @pytest.mark.parametrize("height_m", [0.1, 1.5, 20.0])
@@ -71,38 +71,38 @@ def test_nothing_is_carried_in_a_single_frame():
 def test_a_line_is_found_again():
     """Flames that obey a line exactly, and one far from them that obeys it too."""
     flames = [
-        PaceClues(seen, seen * law, seen * carried, slenderness, 1.0)
+        SpeedClues(seen, seen * law, seen * carried, slenderness, 1.0)
         for seen, law, carried, slenderness in np.random.default_rng(0).uniform(
             [0.1, 2, 0.2, 0.05], [3, 8, 1, 0.3], (30, 4)
         )
     ]
     line = np.array([0.6, 0.9, -0.4, 0.3])
     true = [flame.seen * np.exp(line @ [1, *flame.logs]) for flame in flames]
-    fitted = Pace.fit(flames, true)
+    fitted = MeanSpeed.fit(flames, true)
     assert fitted.of(flames[0]) == pytest.approx(true[0], rel=0.05)
-    far = PaceClues(9.0, 9.0 * 12, 9.0 * 1.5, 0.04, 1.0)
+    far = SpeedClues(9.0, 9.0 * 12, 9.0 * 1.5, 0.04, 1.0)
     assert fitted.of(far) == pytest.approx(far.seen * np.exp(line @ [1, *far.logs]), rel=0.1)
 
 
 def test_one_flame_is_enough_and_says_only_its_factor():
     clues = clues_of(column())
-    fitted = Pace.fit([clues], [3 * clues.seen])
+    fitted = MeanSpeed.fit([clues], [3 * clues.seen])
     assert fitted.of(clues) == pytest.approx(3 * clues.seen, rel=1e-3)
     assert np.abs(fitted.metric[1:]).max() < 0.9
 
 
 @pytest.mark.parametrize("size", [1e-3, 1e3])
 def test_without_metres_the_unit_of_length_does_not_matter(size):
-    pace = Pace(np.array([0.5, 0.8, -0.4, 0.3]), np.array([0.5, 0.0, -0.4, 0.3]))
+    pace = MeanSpeed(np.array([0.5, 0.8, -0.4, 0.3]), np.array([0.5, 0.0, -0.4, 0.3]))
     same = pace.of(clues_of(column(bands=rising)), metres=False)
     larger = clues_of(column(1.5 * size, 0.5 * size, 0.05 * size, lambda z, t: rising(z / size, t)))
     assert pace.of(larger, metres=False) / size == pytest.approx(same, rel=1e-6)
 
 
-PACE = Pace(np.array([0.5, 0.8, -0.4, 0.3]), np.array([0.5, 0.0, -0.4, 0.3]))
+PACE = MeanSpeed(np.array([0.5, 0.8, -0.4, 0.3]), np.array([0.5, 0.0, -0.4, 0.3]))
 
 
-def two_columns(*energy: float) -> list[PaceClues]:
+def two_columns(*energy: float) -> list[SpeedClues]:
     """One of four times the height of the other, in all its lengths; each is seen to move in its own way."""
     tall, short = column(1.6, seen=0.9, radius_m=0.08), column(0.4, seen=0.2, radius_m=0.02)
     return [replace(clues_of(flame), energy=e) for flame, e in zip((tall, short), energy, strict=True)]
@@ -142,7 +142,7 @@ def rising(z, t):
 def test_what_is_stranger_than_all_flames_counts_no_more_than_the_strangest():
     crawling = clues_of(column(seen=1e-6))
     assert np.abs(crawling.logs).max() <= FARTHEST
-    assert np.isfinite(Pace(np.ones(4), np.ones(4)).of(crawling))
+    assert np.isfinite(MeanSpeed(np.ones(4), np.ones(4)).of(crawling))
     falling = clues_of(column(bands=lambda z, t: rising(z, -t)))
     assert falling.carried < 0
     assert falling.logs[2] == -FARTHEST

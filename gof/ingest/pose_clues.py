@@ -1,5 +1,4 @@
-"""The evidence of clips on where their cameras stand, before anything is solved; and whether one was touched in
-between."""
+"""Clues in clips to where their cameras stand, before anything is solved; and whether one was touched in between."""
 
 from __future__ import annotations
 
@@ -126,8 +125,8 @@ class KnownRig:
 
 
 @dataclass(frozen=True)
-class Evidence:
-    """The evidence of one clip on where its cameras stand; the frames themselves are no longer needed.
+class PoseClues:
+    """Clues in one clip to where its cameras stand; the frames themselves are no longer needed.
 
     Attributes:
         name: of the clip, for messages.
@@ -145,7 +144,7 @@ class Evidence:
     @classmethod
     def of(
         cls, name: str, clips: Sequence[Collection[np.ndarray]], lowest: list[np.ndarray], options: PoseOptions
-    ) -> Evidence:
+    ) -> PoseClues:
         """From (H, W, 3) uint8 RGB pictures and their minimum plate, per camera."""
         board, notes = board_points(clips, options.board, options.marker_side) if options.board else ([], [])
         return cls(name, lowest, _feature_masks(clips, board, options), board, notes)
@@ -153,7 +152,7 @@ class Evidence:
 
 def require_still(
     names: list[str],
-    clip: Evidence,
+    clip: PoseClues,
     other: str,
     plates: list[np.ndarray],
     masks: list[np.ndarray] | None = None,
