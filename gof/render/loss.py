@@ -110,8 +110,10 @@ class _Strips:
         return _L1SSIM
 
 
-def l1_ssim(image: list[Float], target: Target | np.ndarray, ssim_weight: float = 0.2) -> Float:
-    """(1 - w) mean |x - y| + w (1 - mean SSIM), an AD scalar.
+def l1_ssim(
+    image: list[Float], target: Target | np.ndarray, ssim_weight: float = 0.2, square_weight: float = 0.0
+) -> Float:
+    """(1 - w) mean |x - y| + w (1 - mean SSIM) + s mean (x - y)^2, an AD scalar; w and s are the weights.
 
     SSIM with an 11x11 window of sigma 1.5 px, zero beyond the border, constants for a range of 1. |x - y| has gradient
     0 where x = y. Values far outside [0, 1] lose digits in the local variances.
@@ -130,12 +132,13 @@ def l1_ssim(image: list[Float], target: Target | np.ndarray, ssim_weight: float 
             f"image has {len(image)} channels of {len(image[0])} pixels; target is {width}x{height} "
             f"with {channels} channels"
         )
-    return dr.custom(target.moments.operation, list(image), target.moments, ssim_weight)
+    return dr.custom(target.moments.operation, list(image), target.moments, ssim_weight, square_weight)
 
 
 class _L1SSIM(dr.CustomOp):
-    def eval(self, image, target, ssim_weight):
+    def eval(self, image, target, ssim_weight, square_weight):
         self.target, self.ssim_weight = target, dr.opaque(Float, ssim_weight)
+        self.square_weight = dr.opaque(Float, square_weight)
         layout = target.strip
         strip = dr.zeros(Float, layout.size)
         for k, channel in enumerate(image):
@@ -149,6 +152,7 @@ class _L1SSIM(dr.CustomOp):
         self.x, self.y = _inner(strip, layout.row), _inner(y[REACH], layout.row, rows_blurred=True)
         weight = target.weight * self.ssim_weight
         terms = weight * (1 - ssim) + (target.weight - weight) * dr.abs(self.x - self.y)
+        terms += target.weight * self.square_weight * dr.square(self.x - self.y)
         self.partials = [-weight * p for p in partials]
         dr.eval(terms, self.partials)
         return dr.sum(terms)
@@ -161,7 +165,8 @@ class _L1SSIM(dr.CustomOp):
         d_mu, d_square, d_product = (_blur(_column_neighbours(v, target.strip.row)) for v in rows)
         x, y, weight = (_inner(v, target.strip.row) for v in (self.x, self.y, target.weight))
         sign = dr.select(x > y, Float(1), dr.select(x < y, Float(-1), Float(0)))
-        gradient = upstream * (d_mu + 2 * x * d_square + y * d_product + weight * (1 - self.ssim_weight) * sign)
+        slope = weight * ((1 - self.ssim_weight) * sign + 2 * self.square_weight * (x - y))
+        gradient = upstream * (d_mu + 2 * x * d_square + y * d_product + slope)
         dr.eval(gradient)
         out = [dr.gather(Float, gradient, target.strip.pixels(k, 0)) for k in range(target.strip.channels)]
         dr.eval(out)

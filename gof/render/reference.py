@@ -176,8 +176,8 @@ def blur(image: np.ndarray) -> np.ndarray:
     return out
 
 
-def l1_ssim(image, target, ssim_weight=0.2, mask=None) -> float:
-    """(1 - w) mean |x - y| + w (1 - mean SSIM); twin of `gof.render.l1_ssim` for (H, W, D) arrays."""
+def l1_ssim(image, target, ssim_weight=0.2, mask=None, square_weight=0.0) -> float:
+    """(1 - w) mean |x - y| + w (1 - mean SSIM) + s mean (x - y)^2; twin of `gof.render.l1_ssim`, (H, W, D) arrays."""
     x, y = np.asarray(image, np.float64), np.asarray(target, np.float64)
     weight = np.ones(x.shape[:2]) if mask is None else np.asarray(mask, np.float64)
     weight = (weight / max(weight.sum() * x.shape[2], 1e-12))[..., None]
@@ -185,4 +185,5 @@ def l1_ssim(image, target, ssim_weight=0.2, mask=None) -> float:
     var_x, var_y, cov = blur(x * x) - mu_x**2, blur(y * y) - mu_y**2, blur(x * y) - mu_x * mu_y
     c1, c2 = 0.01**2, 0.03**2
     ssim = (2 * mu_x * mu_y + c1) * (2 * cov + c2) / ((mu_x**2 + mu_y**2 + c1) * (var_x + var_y + c2))
-    return float((weight * ((1 - ssim_weight) * np.abs(x - y) + ssim_weight * (1 - ssim))).sum())
+    apart = (1 - ssim_weight) * np.abs(x - y) + square_weight * (x - y) ** 2
+    return float((weight * (apart + ssim_weight * (1 - ssim))).sum())

@@ -24,18 +24,19 @@ def planes(x):
     return [floats(x[..., k]) for k in range(x.shape[2])]
 
 
+@pytest.mark.parametrize("square", [0.0, 4.0])
 @pytest.mark.parametrize(
     "shape, masked",
     [((20, 23, 3), False), ((16, 32, 3), True), ((1, 1, 1), False), ((13, 5, 8), True), ((70, 9, 2), False)],
 )
-def test_value_and_gradient_equal_twin(shape, masked):
+def test_value_and_gradient_equal_twin(shape, masked, square):
     x, y = pair(shape)
     mask = np.random.default_rng(1).random(shape[:2]) if masked else None
     p = planes(x)
     dr.enable_grad(p)
-    loss = l1_ssim(p, Target(y, mask), 0.2)
+    loss = l1_ssim(p, Target(y, mask), 0.2, square)
     dr.backward(3 * loss)
-    assert abs(loss[0] - reference.l1_ssim(x, y, 0.2, mask)) < 1e-6
+    assert abs(loss[0] - reference.l1_ssim(x, y, 0.2, mask, square)) < 1e-6
     got = np.stack([np.broadcast_to(dr.grad(c).numpy(), shape[0] * shape[1]).reshape(shape[:2]) for c in p], -1)
     r = np.random.default_rng(2)
     for _ in range(25):
@@ -44,7 +45,7 @@ def test_value_and_gradient_equal_twin(shape, masked):
         for sign in (1, -1):
             moved = x.copy()
             moved[pick] += sign * 1e-6
-            ends.append(reference.l1_ssim(moved, y, 0.2, mask))
+            ends.append(reference.l1_ssim(moved, y, 0.2, mask, square))
         assert abs(got[pick] - 3 * (ends[0] - ends[1]) / 2e-6) < 1e-5 * np.abs(got).max()
 
 
@@ -65,8 +66,9 @@ def test_constant_images_have_finite_gradient():
     assert all(np.isfinite(dr.grad(c).numpy()).all() for c in p)
 
 
-def test_weights_of_l1_and_ssim():
+def test_weights_of_the_parts():
     x, y = pair((15, 18, 3))
+    assert abs(l1_ssim(planes(x), y, 0.0, 2.0)[0] - (np.abs(x - y).mean() + 2 * ((x - y) ** 2).mean())) < 1e-6
     assert abs(l1_ssim(planes(x), y, 0.0)[0] - np.abs(x - y).mean()) < 1e-6
     both = [l1_ssim(planes(x), y, w)[0] for w in (0.0, 0.3, 1.0)]
     assert abs(both[1] - (0.7 * both[0] + 0.3 * both[2])) < 1e-6

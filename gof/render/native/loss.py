@@ -91,6 +91,7 @@ def l1_ssim_rows(
     weight,
     weight_stride,
     part_ssim,
+    part_square,
     totals,
     gradient,
 ):
@@ -163,11 +164,13 @@ def l1_ssim_rows(
                     g_mean = g_mean + load(b_mean, at) * W[k]
                     g_square = g_square + load(b_square, at) * W[k]
                     g_product = g_product + load(b_product, at) * W[k]
-                a, b, w = load(line, x), load(truth, row * stride + x), load(weight, row * weight_stride + x) * part_l1
+                a, b, w = load(line, x), load(truth, row * stride + x), load(weight, row * weight_stride + x)
                 difference = a - b
-                total = total + w * absolute(difference)
+                squared = difference * part_square
+                total = total + w * (absolute(difference) * part_l1 + difference * squared)
                 sign = where(b < a, 1.0, where(a < b, spread(np.float32(-1)), 0.0))
-                store(line, x, g_mean + a * g_square * 2.0 + b * g_product + w * sign)
+                slope = w * (sign * part_l1 + squared * 2.0)
+                store(line, x, g_mean + a * g_square * 2.0 + b * g_product + slope)
             totals[row] += _added(total, lanes)
             gradient[row * width : (row + 1) * width] = line[:width]
 
@@ -206,7 +209,7 @@ class NativeTarget:
 class NativeLoss(dr.CustomOp):
     """The gradient is found together with the value, and only scaled in the backward pass."""
 
-    def eval(self, image, target, ssim_weight):
+    def eval(self, image, target, ssim_weight, square_weight):
         t, planes = target, [dr.detach(Float(channel)) for channel in image]
         dr.eval(planes)
         self.gradient = [dr.empty(Float, t.height * t.width) for _ in planes]
@@ -214,8 +217,9 @@ class NativeLoss(dr.CustomOp):
         totals = np.zeros((t.channels, t.height))
 
         def sweep(c, begin, end):
-            truth = t.truth[c], *t.moments[c], t.weight, t.weight_stride, np.float32(ssim_weight)
-            l1_ssim_rows(begin, end, views[0][c], t.width, t.stride, *truth, totals[c], views[1][c])
+            truth = t.truth[c], *t.moments[c], t.weight, t.weight_stride
+            parts = np.float32(ssim_weight), np.float32(square_weight)
+            l1_ssim_rows(begin, end, views[0][c], t.width, t.stride, *truth, *parts, totals[c], views[1][c])
 
         # Parts of a channel overlap by four times the window's reach: few of them.
         run(sweep, [(c, *rows) for c in range(t.channels) for rows in even_parts(t.height, thread_count())])
