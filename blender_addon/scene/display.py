@@ -63,11 +63,11 @@ def emission(cloud: GaussianCloud, curve: ToneCurve) -> np.ndarray:
     `HIDING` times it."""
     light = curve.light(cloud.color)
     rounds = max(1, min(MOST_ROUNDS, ROUNDS_BUDGET // max(len(cloud), 1)))
-    kept = list(pictures(cloud)) if rounds == MOST_ROUNDS else None  # a larger cloud's take too much memory
+    kept = list(_goals(cloud, curve)) if rounds == MOST_ROUNDS else None  # a larger cloud's take too much memory
     for _ in range(rounds):
         lacking, weight = np.zeros_like(light), np.zeros(len(light))
-        for picture in kept or pictures(cloud):
-            ratio, share = picture.compare(cloud.color, light, curve, HIDING if cloud.emissive else 1.0)
+        for picture, wanted in kept or _goals(cloud, curve):
+            ratio, share = picture.compare(wanted, light, HIDING if cloud.emissive else 1.0)
             weight += np.bincount(picture.rows, share, len(light))
             for channel in range(3):
                 lacking[:, channel] += np.bincount(picture.rows, share * ratio[picture.owner, channel], len(light))
@@ -75,6 +75,12 @@ def emission(cloud: GaussianCloud, curve: ToneCurve) -> np.ndarray:
         scale = np.where(weight[:, None] > 0, lacking / np.maximum(weight, 1e-300)[:, None], 1.0)
         light *= np.clip(scale, 0.1, 10)
     return light
+
+
+def _goals(cloud: GaussianCloud, curve: ToneCurve) -> Iterator[tuple[PixelPoints, np.ndarray]]:
+    """Yield each of `pictures` with the light (P, 3) that it is to show."""
+    for picture in pictures(cloud):
+        yield picture, curve.light(picture.reconstructed(cloud.color))
 
 
 @dataclass(frozen=True)
@@ -88,24 +94,31 @@ class PixelPoints:
     time_s: float
     area: float  # of a pixel, m^2
 
-    def compare(
-        self, color: np.ndarray, light: np.ndarray, curve: ToneCurve, hiding: float
-    ) -> tuple[np.ndarray, np.ndarray]:
+    @property
+    def total(self) -> np.ndarray:
+        """Optical depth of each pixel, (P,) > 0."""
+        return np.maximum(np.bincount(self.owner, self.depth), 1e-12)
+
+    def reconstructed(self, color: np.ndarray) -> np.ndarray:
+        """Return the display values (P, 3) that a reconstruction with colours (N, 3) shows."""
+        total = self.total
+        return self._mean(color, total) * -np.expm1(-total)[:, None]
+
+    def compare(self, wanted: np.ndarray, light: np.ndarray, hiding: float) -> tuple[np.ndarray, np.ndarray]:
         """Return wanted over shown light (P, 3), and each point's share (M,) of what its pixel shows.
 
         Args:
-            color, light: (N, 3) display values and light per unit of opacity.
+            wanted: (P, 3) light.   light: (N, 3) per unit of opacity.
             hiding: part of the opacity that Cycles draws.
         """
-        total = np.maximum(np.bincount(self.owner, self.depth), 1e-12)
-        wanted = curve.light(self._mean(color, total) * -np.expm1(-total)[:, None])
+        total = self.total
         covered = -np.expm1(-hiding * total)
         shown = self._mean(light, total) * covered[:, None]
         return wanted / np.maximum(shown, 1e-9), self.depth * (covered / total)[self.owner]
 
     def intensity(self, light: np.ndarray, hiding: float) -> np.ndarray:
         """Return what each point sends towards the viewer, (M, 3): radiance times area."""
-        total = np.maximum(np.bincount(self.owner, self.depth), 1e-12)
+        total = self.total
         share = self.depth * (-np.expm1(-hiding * total) / total)[self.owner]
         return light[self.rows] * (share * self.area)[:, None]
 

@@ -34,7 +34,7 @@ def psnr(image: np.ndarray, truth: np.ndarray, mask: np.ndarray | None = None) -
 def psnr_by_mask(image: np.ndarray, truth: np.ndarray, masks: Sequence[np.ndarray | None]) -> list[float | None]:
     """Return `psnr` with each of the masks."""
     image, truth = _pair(image, truth)
-    squared = ((image - truth) ** 2).mean(-1)
+    squared = _over_channels((image - truth) ** 2)
     errors = [_mean(squared, mask) for mask in masks]
     return [None if error is None else float(-10 * np.log10(max(error, 10 ** (-MOST_DB / 10)))) for error in errors]
 
@@ -49,7 +49,7 @@ def ssim(image: np.ndarray, truth: np.ndarray, mask: np.ndarray | None = None) -
 
 def ssim_by_mask(image: np.ndarray, truth: np.ndarray, masks: Sequence[np.ndarray | None]) -> list[float | None]:
     """Return `ssim` with each of the masks."""
-    similarity = ssim_map(image, truth).mean(-1)
+    similarity = _over_channels(ssim_map(image, truth))
     return [_mean(similarity, mask) for mask in masks]
 
 
@@ -69,6 +69,11 @@ def ssim_map(image: np.ndarray, truth: np.ndarray) -> np.ndarray:
 def _blur(x: np.ndarray) -> np.ndarray:
     kernel = cv2.getGaussianKernel(2 * REACH + 1, SIGMA_PX, cv2.CV_64F)
     return cv2.sepFilter2D(x, cv2.CV_64F, kernel, kernel, borderType=cv2.BORDER_CONSTANT).reshape(x.shape)
+
+
+def _over_channels(values: np.ndarray) -> np.ndarray:
+    """Return the mean over the last axis; numpy's own takes six times as long along one of three."""
+    return sum(np.moveaxis(values, -1, 0)) / values.shape[-1]
 
 
 def _mean(per_pixel: np.ndarray, mask: np.ndarray | None) -> float | None:
@@ -107,8 +112,8 @@ def temporal_l2(
         >= 0; None when the truth does not change inside the mask.
     """
     (a, ta), (b, tb) = _pair(images[0], truths[0]), _pair(images[1], truths[1])
-    error = _mean((((b - a) - (tb - ta)) ** 2).mean(-1), mask)
-    power = _mean(((tb - ta) ** 2).mean(-1), mask)
+    error = _mean(_over_channels(((b - a) - (tb - ta)) ** 2), mask)
+    power = _mean(_over_channels((tb - ta) ** 2), mask)
     return float(np.sqrt(error / power)) if error is not None and power else None
 
 

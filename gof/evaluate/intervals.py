@@ -184,6 +184,8 @@ def apart(p_values: np.ndarray) -> np.ndarray:
 def weighted_quantile(values: np.ndarray, weight: np.ndarray, q: float) -> float:
     """Return the smallest of values (N,) up to which at least the share q of weight (N,) >= 0 lies; 0 <= q <= 1, N >=
     1."""
+    if (counts := weight > 0).any():  # most pixels of a flame's picture have none: they need no sorting
+        values, weight = values[counts], weight[counts]
     order = np.argsort(values)
     total = np.cumsum(weight[order])
     reached = np.searchsorted(total, q * total[-1])

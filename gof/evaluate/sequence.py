@@ -12,7 +12,7 @@ from gof.core.errors import GofError
 from gof.core.gaussians import MovingGaussians
 from gof.evaluate.dve_frame import DVEResult, DVESequence, Opacity, Samples, Sums, probe, weighted_sums
 from gof.evaluate.sparse_grid import fields_of
-from gof.evaluate.trivial_baselines import fluctuation, score_trivial_baselines
+from gof.evaluate.trivial_baselines import fluctuation, layers, score_trivial_baselines
 from gof.host.threads import map_beside
 
 
@@ -88,10 +88,11 @@ def dve_sequence(
     )
     if not trivial_baselines:
         return scored
+    layer = layers(frames)
     return replace(
         scored,
-        trivial_baselines=score_trivial_baselines(gaussians, frames, seed),
-        fluctuation=fluctuation(frames),
+        trivial_baselines=score_trivial_baselines(gaussians, frames, layer, seed),
+        fluctuation=fluctuation(frames, layer),
         probed=tuple(frames),
     )
 

@@ -188,6 +188,9 @@ class Bricks:
         Let go of a pool before taking the next one: both at once would be the peak of the
         memory.
         """
+        if (whole := self._few()) is not None:
+            yield np.arange(len(position)), self.pool(whole)
+            return
         low, high = self.cell_ranges(position, scale, outermost)
         for rows, needed in self.parts(low, high, np.arange(len(position))):
             yield rows, self.pool(needed)
@@ -195,10 +198,10 @@ class Bricks:
     def touched(self, low: np.ndarray, high: np.ndarray) -> np.ndarray:
         """Return (bricks per axis) bool: the chunks that any of the cell ranges low..high, (M, 3) whole numbers,
         reaches into."""
+        if (whole := self._few()) is not None:
+            return whole
         size = np.array(self.field.resolution)
         bricks = -(-size // CHUNK)
-        if bricks.prod() <= FEW:
-            return np.ones(bricks, bool)
         meets = ((high + MARGIN >= 0) & (low - MARGIN < size)).all(1)
         first = np.clip(low[meets] - MARGIN, 0, size - 1) // CHUNK
         after = np.clip(high[meets] + MARGIN, 0, size - 1) // CHUNK + 1
@@ -233,6 +236,11 @@ class Bricks:
             both = needed | held
             self._pool = _fill(self.field, self.dtype, both if self._bytes(both) <= POOL_BYTES else needed)
         return self._pool
+
+    def _few(self) -> np.ndarray | None:
+        """Return all chunks, as `touched` does, where they are FEW; else None."""
+        bricks = -(-np.array(self.field.resolution) // CHUNK)
+        return np.ones(bricks, bool) if bricks.prod() <= FEW else None
 
     def _bytes(self, needed: np.ndarray) -> int:
         return int(needed.sum()) * EDGE**3 * 4 * np.dtype(self.dtype).itemsize

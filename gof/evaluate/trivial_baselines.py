@@ -12,7 +12,7 @@ from dataclasses import replace
 import numpy as np
 
 from gof.core.gaussians import MovingGaussians
-from gof.evaluate.dve_frame import DVEResult, DVESequence, Samples, Sums, score_sequence, weighted_sums
+from gof.evaluate.dve_frame import DVEResult, DVESequence, Samples, Sums, largest, score_sequence, weighted_sums
 from gof.evaluate.intervals import own_generator
 from gof.host.threads import map_on_cores
 
@@ -32,13 +32,15 @@ BOUNDS = ("true_centre",)  # knows the truth at every place: not there to be bea
 
 
 def score_trivial_baselines(
-    gaussians: MovingGaussians, frames: Sequence[Samples], seed: int = 0
+    gaussians: MovingGaussians, frames: Sequence[Samples], layer: np.ndarray, seed: int = 0
 ) -> dict[str, DVESequence]:
     """Score every trivial baseline on the samples of `dve_frame.probe`.
 
     `random` and `shuffled` draw once per Gaussian, so a Gaussian keeps its drawn velocity through all frames;
     `constant` and `height_mean` are weighted means of the truth over all frames together.
 
+    Args:
+        layer: (M,) of `layers` of these frames.
     Returns:
         name (as in TRIVIAL_BASELINES) -> DVESequence; "light" only where gas and light have a velocity each.
     """
@@ -59,7 +61,7 @@ def score_trivial_baselines(
     weight = np.concatenate([f.weight for f in frames])
     truth = np.concatenate([f.truth for f in frames])
     constant = np.einsum("n,nk->k", weight / weight.sum(), truth)
-    height = _height_means(_layers(frames), truth, weight)
+    height = _height_means(layer, truth, weight)
     velocities = {
         "zero": [np.zeros_like(f.truth) for f in frames],
         "random": [direction[f.index] * np.linalg.norm(f.velocity, axis=1, keepdims=True) for f in frames],
@@ -72,21 +74,21 @@ def score_trivial_baselines(
     return {name: score_sequence(frames, v) for name, v in velocities.items() if v}
 
 
-def fluctuation(frames: Sequence[Samples]) -> DVEResult:
+def fluctuation(frames: Sequence[Samples], layer: np.ndarray) -> DVEResult:
     """DVE of what is left when the weighted mean per height is taken from the estimated and the true velocity.
 
     Pooled over frames: the paper's formulas on v - mean_z(v) and vbar - mean_z(vbar). Zero velocity, a constant vector
-    and a mean per height all score L2 = 1 and CosSim = 0 here. Not part of the paper's metric.
+    and a mean per height all score L2 = 1 and CosSim = 0 here. Not part of the paper's metric. `layer`: (M,) of
+    `layers`.
     """
     weight = np.concatenate([f.weight for f in frames])
     velocity = np.concatenate([f.velocity for f in frames])
     truth = np.concatenate([f.truth for f in frames])
-    layer = _layers(frames)
     v = velocity - _height_means(layer, velocity, weight)
     t = truth - _height_means(layer, truth, weight)
     noise = 1e-12  # rounding left by the subtraction is no fluctuation
-    v[np.abs(v).max(1, initial=0) <= noise * np.abs(velocity).max(initial=0)] = 0
-    t[np.abs(t).max(1, initial=0) <= noise * np.abs(truth).max(initial=0)] = 0
+    v[largest(np.abs(v)) <= noise * np.abs(velocity).max(initial=0)] = 0
+    t[largest(np.abs(t)) <= noise * np.abs(truth).max(initial=0)] = 0
     parts = zip(frames, _split(v, frames), _split(t, frames), strict=True)
     result = DVEResult.from_sums(sum(map_on_cores(lambda of: weighted_sums(*of), parts), Sums()))
     if result.l2 is None and result.weight > 0:
@@ -102,8 +104,8 @@ def skill(score: DVEResult, trivial_baseline: DVEResult) -> float | None:
     return 1 - (score.l2 / trivial_baseline.l2) ** 2
 
 
-def _layers(frames: Sequence[Samples]) -> np.ndarray:
-    """Return the number of each Gaussian's layer (M,); layers hold equally many."""
+def layers(frames: Sequence[Samples]) -> np.ndarray:
+    """Return the number of each Gaussian's layer of height, (M,) for those of all frames; layers hold equally many."""
     height = np.concatenate([f.position[:, 2] for f in frames])
     bins = int(np.clip(len(height) // MIN_PER_BIN, 1, HEIGHT_BINS))
     edges = np.quantile(height, np.linspace(0, 1, bins + 1)[1:-1]) if len(height) else []
