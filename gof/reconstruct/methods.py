@@ -54,7 +54,8 @@ class Rates:
         position: at the first and the last step, exponential between.   velocity: per frame time.
         color, plate: display values; a plate's is 0 where plates do not change.
         t_mu, log_t_sigma, scale, rotation, opacity: of the raw parameters (`gof.reconstruct.parameters`).
-        beta_2: how slowly Adam forgets the size of gradients.
+        beta_1, beta_2: how slowly Adam forgets gradients, and their size. A Gaussian is in one of many pictures only, so
+            what it remembers is of another picture.
         held: the share of a run after which a Gaussian's other rates fall, too, exponentially to `LAST_SHARE` at the
             last step, at most `LONGEST_HELD` steps: Gaussians that are pushed to and fro by one picture after the other
             come to rest, and a long run learns the training frames ever better and the ones between them worse. None:
@@ -71,6 +72,7 @@ class Rates:
     opacity: float
     color: float
     plate: float
+    beta_1: float
     beta_2: float
     held: float | None
 
@@ -97,6 +99,7 @@ class Method:
         density_control: Gaussians are cloned, split and pruned along the way (`density`).
         color_of_light: the brightest channel of a flame Gaussian is 1 (`parameters`), and its light is added to the
             plate behind it (`TransientGaussians.emissive`); else colours are free, and display values blended.
+        square_loss: weight of the mean squared difference beside 0.8 L1 + 0.2 (1 - SSIM): large errors count more.
         unseen: weight of views from where no camera stood, as tomography has them (`unseen`), in every second step;
             0 = none.
     """
@@ -115,6 +118,7 @@ class Method:
     windows: bool
     density_control: bool
     color_of_light: bool
+    square_loss: float
     unseen: float
     seeding: Seeding
     rates: Rates
@@ -135,6 +139,7 @@ OURS = Method(
     windows=True,
     density_control=False,  # tried, not kept
     color_of_light=True,
+    square_loss=16.0,
     unseen=2.0,
     seeding=Seeding(by_emission=True, short_lives=True, opacity=0.1, scale=0.7, seen_color=True),
     rates=Rates(
@@ -148,6 +153,7 @@ OURS = Method(
         opacity=0.075,
         color=0.025,
         plate=0.0025,
+        beta_1=0.6,
         beta_2=0.99,
         held=0.5,
     ),
@@ -170,6 +176,7 @@ PAPER = Method(
     windows=False,  # its density control counts on the mean over whole pictures
     density_control=True,  # "densification was left as in the original implementation"
     color_of_light=False,  # 3DGS' coefficients
+    square_loss=0.0,
     unseen=0.0,
     seeding=Seeding(
         by_emission=False,  # authors: half of a frame's voxels
@@ -189,7 +196,8 @@ PAPER = Method(
         opacity=0.025,  # 3DGS
         color=0.0025 * C0,  # 3DGS, of its constant colour coefficient
         plate=0.0,
-        beta_2=0.999,  # Adam's own
+        beta_1=0.9,
+        beta_2=0.999,  # Adam's own, both
         held=None,
     ),
 )

@@ -1,7 +1,8 @@
 """Optimising transient flame Gaussians against the training pictures, in their surroundings, with Dr.Jit.
 
-Loss (paper): 0.8 L1 + 0.2 (1 - SSIM) + 0.1 mean(A_dyn (1 - M)), one random training picture a step. Every picture is
-drawn at its own camera's time, and line by line when that camera has a rolling shutter.
+Loss (paper): 0.8 L1 + 0.2 (1 - SSIM) + 0.1 mean(A_dyn (1 - M)), one random training picture a step; ours adds the mean
+squared difference (`Method.square_loss`). Every picture is drawn at its own camera's time, and line by line when that
+camera has a rolling shutter.
 """
 
 from __future__ import annotations
@@ -50,6 +51,7 @@ class Schedule:
     """Step counts, learning rates and loss weights.
 
     Attributes:
+        square_loss: of the mean squared difference of pictures.
         alpha_loss: of flame where no flame may be.
         unseen: of views from where no camera stood (`gof.reconstruct.unseen`), in every `UNSEEN_EVERY`-th step.
         plate_loss: of a plate's change. L1 moves a channel of its pixel by 0.8 of what of it shows through the flame,
@@ -62,6 +64,7 @@ class Schedule:
     gas_apart: bool  # see `gof.reconstruct.methods.Method`, as the next two
     density_control: bool = False
     color_of_light: bool = True
+    square_loss: float = 0.0
     alpha_loss: float = 0.1
     unseen: float = 0.0
     plate_loss: float = 1.0
@@ -171,7 +174,7 @@ def take_step(step: int, flame: Flame, pictures: TrainingPictures, schedule: Sch
     unseen = pictures.unseen.choose(f, rng) if pictures.unseen and also else None
     shown = flame.shown(f, c, unseen)
     drawn = flame.drawn(shown, f, c)
-    loss = _loss(drawn, pictures, f, c, schedule.alpha_loss, clipped=flame.surroundings.emissive)
+    loss = _loss(drawn, pictures, f, c, schedule, clipped=flame.surroundings.emissive)
     if unseen is not None:
         loss += schedule.unseen * flame.loss_unseen(shown, unseen, rng.uniform(*PLAIN_PLATES, 3))
     loss += schedule.plate_loss * flame.surroundings.moved(c, flame.optimizer)
@@ -212,7 +215,8 @@ class Flame:
         raw = to_raw(seeds, self.voxel_size, self.start_s, schedule.color_of_light) | plates
         rates = schedule.raw_rates(units) | dict.fromkeys(plates, schedule.rates.plate)
         # The loss is a mean over pixels, so gradients are tiny: epsilon must not be what sets the step.
-        self.optimizer = Adam(lr=1.0, params=raw, beta_2=schedule.rates.beta_2, epsilon=1e-15, mask_updates=True)
+        betas = {"beta_1": schedule.rates.beta_1, "beta_2": schedule.rates.beta_2}
+        self.optimizer = Adam(lr=1.0, params=raw, epsilon=1e-15, mask_updates=True, **betas)
         self.optimizer.set_learning_rate(rates)
         self._palette = find_palette(observation) if schedule.color_of_light else None
         self._recolored = (1 - FREE) * schedule.iterations
@@ -330,7 +334,7 @@ class TrainingPictures:
 
 
 def _loss(
-    drawn: DrawnView, pictures: TrainingPictures, f: int, c: int, alpha_loss: float, clipped: bool = False
+    drawn: DrawnView, pictures: TrainingPictures, f: int, c: int, schedule: Schedule, clipped: bool = False
 ) -> Any:
     """Return the loss of camera c's picture of frame f; a Dr.Jit tensor of one number, differentiable.
 
@@ -343,8 +347,8 @@ def _loss(
     if clipped:
         white = pictures.white(f, c)
         color = [dr.select(full & (shown > 1), 1, shown) for full, shown in zip(white, color, strict=True)]
-    loss = l1_ssim(color, pictures.target(f, c), ssim_weight=SSIM_WEIGHT)
-    return loss + alpha_loss * dr.mean(drawn.share * pictures.outside(f, c))
+    loss = l1_ssim(color, pictures.target(f, c), SSIM_WEIGHT, schedule.square_loss)
+    return loss + schedule.alpha_loss * dr.mean(drawn.share * pictures.outside(f, c))
 
 
 def over_plain(light: np.ndarray, plain: np.ndarray) -> list[Any]:

@@ -212,6 +212,7 @@ def fit(
         method.gas_apart,
         method.density_control,
         method.color_of_light,
+        method.square_loss,
         unseen=method.unseen,
         seed=settings.seed,
     )

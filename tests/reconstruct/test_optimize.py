@@ -19,7 +19,7 @@ from gof.footage.flame_mask import flame_mask
 from gof.reconstruct import ablations, optimize
 from gof.reconstruct.curve import Curve, HeldOutScores
 from gof.reconstruct.heldout import HeldOut
-from gof.reconstruct.methods import PAPER
+from gof.reconstruct.methods import OURS, PAPER
 from gof.reconstruct.observation import observe
 from gof.reconstruct.parameters import splats, to_raw
 from gof.reconstruct.presets import PRESETS, Effort, effort_of
@@ -291,14 +291,14 @@ def test_light_beyond_white_is_free_where_a_camera_shows_white_and_nowhere_else(
     seen = replace(seen, image=image)
     pictures = optimize.TrainingPictures(seen, Windows.whole(seen.cameras))
     height, width = image.shape[2:4]
-    gradients = {}
+    gradients, schedule = {}, optimize.Schedule(10, OURS.rates, gas_apart=True)
     for clipped in (True, False):
         drawn = [dr.full(Float, 1.3, height * width) for _ in range(3)]
         for plane in drawn:
             dr.enable_grad(plane)
         nothing = dr.zeros(Float, height * width)
         view = SimpleNamespace(color=drawn, share=nothing)
-        dr.backward(optimize._loss(view, pictures, 0, 0, 0.1, clipped=clipped))
+        dr.backward(optimize._loss(view, pictures, 0, 0, schedule, clipped=clipped))
         gradients[clipped] = np.abs([dr.grad(plane).numpy() for plane in drawn]).reshape(3, height, width)
     inner = width // 2 - 6  # SSIM's window reaches over the border
     assert not gradients[True][..., :inner].any() and gradients[False][..., :inner].all()
