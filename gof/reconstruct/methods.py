@@ -54,8 +54,8 @@ class Rates:
         position: at the first and the last step, exponential between.   velocity: per frame time.
         color, plate: display values; a plate's is 0 where plates do not change.
         t_mu, log_t_sigma, scale, rotation, opacity: of the raw parameters (`gof.reconstruct.parameters`).
-        beta_1, beta_2: how slowly Adam forgets gradients, and their size. What it remembers of a Gaussian is of another
-            picture, and hardly holds for this one.
+        beta_1, beta_2: how slowly Adam forgets gradients, and their size. Those of a Gaussian are of another picture
+            each time, and hardly hold for the next.
         held: the share of a run after which a Gaussian's other rates fall, too, exponentially to `LAST_SHARE` at the
             last step, at most `LONGEST_HELD` steps: Gaussians that are pushed to and fro by one picture after the other
             come to rest, and a long run learns the training frames ever better and the ones between them worse. None:
