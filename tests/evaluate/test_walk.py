@@ -15,6 +15,7 @@ from tests.evaluate.synthetic_flame import flame_dataset
 from tests.evaluate.test_emission import with_a_flame_grid
 
 OPENED = (Dataset, VelocitySequence, FlameGrid, StoredField)
+ONCE = (VelocitySequence, FlameGrid)  # views of a dataset are datasets, too
 SOURCES = str(Path(gof.__file__).parent)
 MOST = 12  # with EVE, light in space and the settled quadrature
 
@@ -27,6 +28,7 @@ class Walk:
 
     def __init__(self):
         self.files: list[str] = []
+        self.opened = {}  # by their ids, which stay theirs as long as they are here
         self._calls = set()
 
     def __call__(self, frame, event, argument):
@@ -40,6 +42,8 @@ class Walk:
             return
         ours = caller.f_code.co_filename.startswith(SOURCES)
         names = code.co_varnames[: code.co_argcount + code.co_kwonlyargcount]
+        given = [frame.f_locals.get(name) for name in names if name != "self"]
+        self.opened |= {id(thing): thing for thing in given if isinstance(thing, ONCE)}
         call = (caller.f_code, caller.f_lineno, code)
         if call in self._calls or not _holds(frame, names) or (ours and not _holds(caller, caller.f_locals)):
             return
@@ -68,3 +72,4 @@ def test_a_dataset_makes_few_stays_in_evaluate(tmp_path):
     stays = [Path(file).relative_to(SOURCES).as_posix() for file in walk.files]
     assert stays[0] == "evaluate/scoring.py" and "evaluate/image_scores.py" in stays
     assert len(stays) <= MOST, "\n".join(stays)
+    assert sorted(type(thing).__name__ for thing in walk.opened.values()) == ["FlameGrid", "VelocitySequence"]
