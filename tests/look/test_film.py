@@ -211,7 +211,8 @@ def made(tmp_path):
 
 def film_of(made, *words) -> tuple[list[np.ndarray], dict]:
     asked = ["video", str(made / "fire.npz"), "--dataset", str(made / "data"), "--out", str(made / "a.webp")]
-    assert gof([*asked, "--fps", "10", "--style", "slow=5", "--json", str(made / "a.json"), *words]) == 0
+    style = [] if "--style" in words else ["--style", "slow=5"]
+    assert gof([*asked, "--fps", "10", *style, "--json", str(made / "a.json"), *words]) == 0
     return decoded(made / "a.webp"), json.loads((made / "a.json").read_text())
 
 
