@@ -30,8 +30,8 @@ class Seeding:
     """The Gaussians that the optimisation starts from.
 
     Attributes:
-        by_emission: in proportion to a voxel's emission; else half of the voxels of every frame, one in each, or as
-            large a part as there are Gaussians.
+        by_emission: in proportion to a voxel's light, drawn together as for the unseen views; else half of the voxels
+            of every frame, one in each, or as large a part as there are Gaussians.
         short_lives: t_sigma by how fast gas crosses the flame (`seeds.lifetime_s`); else four frame times.
         opacity: of a new Gaussian.   scale: its standard deviation, voxels.
         seen_color: the colour that the cameras see there; else middle grey.

@@ -42,7 +42,7 @@ CHECKPOINT_EVERY = 500
 UNSEEN_EVERY = 2  # steps; as good as in each, for a fifth less time
 BLUNT_EVERY = 250  # steps; of these, CHECKPOINT_EVERY is a multiple, so that a resumed run is the same
 RECOLOR_EVERY, PULL = 25, 0.3  # steps, likewise; share of a colour's way to the palette
-FREE = 1 / 8  # of the steps, the last ones, without: own pictures gain half of what it costs them
+FREE = 1 / 8  # of the steps, the last ones, without, unless `Palette.held`: own pictures gain half of what it costs
 EVALUATE_AT = (250, 500, 1000, 2000, 4000, 7000, 15_000, 30_000)  # and at the last step; the paper's are 1k, 7k, 30k
 
 
@@ -219,7 +219,8 @@ class Flame:
         self.optimizer = Adam(lr=1.0, params=raw, epsilon=1e-15, mask_updates=True, **betas)
         self.optimizer.set_learning_rate(rates)
         self._palette = find_palette(observation) if schedule.color_of_light else None
-        self._recolored = (1 - FREE) * schedule.iterations
+        held = self._palette is not None and self._palette.held
+        self._recolored = (1 if held else 1 - FREE) * schedule.iterations
         extent = cameras_extent(self.cameras)
         self._density = (
             DensityControl(len(seeds), extent, self.voxel_size, self.start_s, schedule.iterations, schedule.seed)

@@ -95,10 +95,11 @@ def _run_stages(run: stages.ReconstructionRun, until: Until) -> stages.Reconstru
     if until == "flow-field":
         return None
     held_out = HeldOut(run.dataset, list(observation.static), near=field.voxels.voxel_size)
-    seeds = stages.make_seeds(run, observation, still, field, held_out)
+    light = stages.find_light(run, observation, field)
+    seeds = stages.make_seeds(run, observation, still, field, light, held_out)
     if until == "seeds":
         return None
-    gaussians, plates, curve = stages.fit(run, observation, still, field, seeds, held_out)
+    gaussians, plates, curve = stages.fit(run, observation, still, field, light, seeds, held_out)
     return stages.save(run, gaussians, plates, curve, held_out)
 
 

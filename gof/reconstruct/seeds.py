@@ -10,7 +10,7 @@ from gof.core.errors import DataFormatError
 from gof.core.gaussians import TransientGaussians
 from gof.core.morton import morton_order
 from gof.reconstruct.flame_axis import FlameAxis
-from gof.reconstruct.flow_field import FlowField
+from gof.reconstruct.flow_field import FlowField, FrameField
 from gof.reconstruct.methods import Seeding
 
 SCALE_MIN, SCALE_MAX = 0.1, 3.0  # bounds of a dynamic Gaussian's std-dev, in voxels (paper)
@@ -41,19 +41,26 @@ def lifetime_s(field: FlowField, frame_time_s: float) -> float:
 
 
 def sample_seeds(
-    field: FlowField, seeding: Seeding, t_sigma: float, budget: int, rng: np.random.Generator
+    field: FlowField,
+    seeding: Seeding,
+    t_sigma: float,
+    budget: int,
+    rng: np.random.Generator,
+    light: np.ndarray | None = None,
 ) -> TransientGaussians:
-    """Gaussians placed where the velocity is known, moving with the light and told of the gas.
+    """Return Gaussians placed where the velocity is known, moving with the light and given the gas' velocity.
 
     Args:
         seeding: how many in which voxel, and what they look like.
         t_sigma: of every seed, s, > 0.
         budget: most Gaussians in all, shared among the frames by how many voxels their seeds fill.
+        light: (F, V) >= 0, by which seeds are placed instead of the field's emission, in frames that have any: nearer
+            together along the rays, it leaves no grains around the flame's foot that are seen from the side alone.
     Raises:
         DataFormatError: no frame has a voxel to seed with a known velocity.
     """
     voxels = field.voxels
-    chances = [np.where(frame.known, frame.emission if seeding.by_emission else 1.0, 0.0) for frame in field.frames]
+    chances = [_chances(frame, seeding, None if light is None else light[f]) for f, frame in enumerate(field.frames)]
     # Effective number of filled voxels (inverse participation ratio): a large flame needs more seeds than a small one.
     extent = np.array([c.sum() ** 2 / (c**2).sum() if c.any() else 0.0 for c in chances])
     if not extent.any():
@@ -90,3 +97,13 @@ def sample_seeds(
             )
         )
     return TransientGaussians.concatenate(parts)
+
+
+def _chances(frame: FrameField, seeding: Seeding, light: np.ndarray | None) -> np.ndarray:
+    """Return (V,) >= 0 how likely each voxel of a frame gets a seed, in any unit."""
+    known = frame.known * 1.0
+    if not seeding.by_emission:
+        return known
+    if light is not None and (known * light).any():
+        return known * light
+    return known * frame.emission

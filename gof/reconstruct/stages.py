@@ -167,19 +167,25 @@ def make_flow_field(run: ReconstructionRun, observation: Observation) -> FlowFie
 # ---- Seeds: the Gaussians that the optimisation starts from ----------------------------------------------------------
 
 
+def find_light(run: ReconstructionRun, observation: Observation, field: FlowField) -> np.ndarray | None:
+    """Return (F, V) the flame's light drawn together (`find_compact_flame`), where the method uses it."""
+    return find_compact_flame(field.voxels, observation) if run.method.unseen > 0 else None
+
+
 def make_seeds(
     run: ReconstructionRun,
     observation: Observation,
     still: TransientGaussians | None,
     field: FlowField,
+    light: np.ndarray | None,
     held_out: HeldOut,
 ) -> TransientGaussians:
-    """Return the Gaussians that the optimisation starts from; kept in OUT/seeds.npz."""
+    """Return the Gaussians that the optimisation starts from; kept in OUT/seeds.npz. light: see `find_light`."""
     settings, method, dt = run.settings, run.method, run.dataset.frame_time_s
     rng = np.random.default_rng(settings.seed)
     with run.log.measure("seeds") as figures:
         t_sigma = lifetime_s(field, dt) if method.seeding.short_lives else LIFETIME_FRAMES[1] * dt
-        seeds = sample_seeds(field, method.seeding, t_sigma, settings.gaussians, rng)
+        seeds = sample_seeds(field, method.seeding, t_sigma, settings.gaussians, rng, light)
         seeds = ablations.change_seeds(settings.ablation, seeds, rng).measured_from(run.dataset.datum)
         seeds.save(run.out / "seeds.npz", source="gof reconstruct: seeds before optimisation")
         figures.update(gaussians=len(seeds), t_sigma_s=round(t_sigma, 5))
@@ -196,11 +202,14 @@ def fit(
     observation: Observation,
     still: TransientGaussians | None,
     field: FlowField,
+    light: np.ndarray | None,
     seeds: TransientGaussians,
     held_out: HeldOut,
 ) -> tuple[TransientGaussians, list[np.ndarray], Curve]:
     """Fit the pictures, from the last checkpoint if there is one.
 
+    Args:
+        light: see `find_light`; None: no view but the given ones holds the Gaussians.
     Returns:
         Gaussians and plates as `gof.reconstruct.surroundings.Surroundings.result`, and the curve of held-out scores.
     """
@@ -232,11 +241,7 @@ def fit(
         if still is None
         else StillScene(still, parts, field.voxels)
     )
-    unseen = (
-        imagine_views(field.voxels, find_compact_flame(field.voxels, observation), observation)
-        if schedule.unseen > 0
-        else None
-    )
+    unseen = None if light is None else imagine_views(field.voxels, light, observation)
     checkpoint = _checkpoint(run)
     spent = read_spent(checkpoint)
     curve = CurveLog(run.out, resumed_s=spent.fitting_s if spent else None)

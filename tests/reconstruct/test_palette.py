@@ -60,6 +60,23 @@ def test_white_pixels_before_a_bright_wall_have_no_colour_to_give():
     assert find_palette(white) is not None, "where all is white, that is all there is"
 
 
+def test_red_that_a_camera_presses_together_is_not_green():
+    """capture_04/scene_0005 shows (0.91, 0.84, 0.48) before a fire-lit wall of (0.58, 0.36, 0.12)."""
+    burning = clip(ORANGE)
+    image, plate = burning.image.copy(), burning.plate.copy()
+    plate[:, :, 10:], image[:, :, :, 10:] = (0.58, 0.36, 0.12), (0.91, 0.84, 0.48)
+    palette = find_palette(replace(burning, image=image, plate=plate))
+    green = palette.find(np.array([[0.8, 1.0, 0.3], [0.1, 1.0, 0.1]]))
+    assert (green[:, 0] >= green[:, 1]).all(), "soot is never greener than yellow"
+
+
+@pytest.mark.parametrize("share", [0.1, 1.0])
+def test_a_fire_with_salts_may_be_green(share):
+    copper = (0.15, 1.0, 0.45)
+    palette = find_palette(clip(*[copper] * int(10 * share), *[ORANGE] * (10 - int(10 * share))))
+    assert np.abs(palette.find(np.array([of_light(copper)])) - of_light(copper)).max() < 0.03
+
+
 def test_green_becomes_what_burns():
     palette = find_palette(clip(ORANGE, BLUE))
     green, violet = palette.find(np.array([[0.7, 1.0, 0.1], [0.4, 0.1, 0.9]]))

@@ -77,6 +77,19 @@ def test_seeds_follow_the_emission(column):
     assert (seeds.position[:, 2] > 1).mean() == pytest.approx(3 * above / (3 * above + below), abs=0.03)
 
 
+def test_seeds_follow_light_that_is_nearer_together(column):
+    """A frame of which no such light was found keeps to its emission."""
+    core = np.hypot(column.voxels.center[:, 0], column.voxels.center[:, 1]) < RADIUS / 2
+    seeds = sample_seeds(
+        column, OURS.seeding, 0.02, 20_000, np.random.default_rng(0), light=np.stack([7.0 * core, 0.0 * core])
+    )
+    away, half = np.hypot(seeds.position[:, 0], seeds.position[:, 1]), column.voxels.voxel_size
+    first = seeds.t_mu == 0
+    assert away[first].max() < RADIUS / 2 + half < away[~first].max()
+    areas = [(column.frames[0].emission > 0).sum(), core.sum()]
+    assert (~first).sum() / first.sum() == pytest.approx(areas[0] / areas[1], rel=0.01), "a larger flame has more seeds"
+
+
 def test_seeds_of_the_papers_method_are_in_half_of_the_voxels_whose_motion_is_known(column):
     known = column.voxels.center[:, 0] > 0
     field = changed(column, known=known)
