@@ -17,8 +17,9 @@ from gof.evaluate.leaderboard import COLUMNS, EvaluatedResult, LeaderboardRow, b
 from gof.evaluate.sparse_grid import StoredField
 from gof.evaluate.suite_board import RANKED, BoardRow, BoardScene, Figure, SuiteBoard
 from gof.evaluate.training_curve import TrainingCurve
-from gof.look.charts import FAINT, Chart, accuracy_charts, line_chart, stream_chart
+from gof.look.charts import FAINT, accuracy_charts, line_chart, stream_chart
 from gof.look.comparison import read_again
+from gof.look.drawing import Chart
 from gof.look.pages import PageGrid, template
 
 K = TypeVar("K", int, str)  # what names a row

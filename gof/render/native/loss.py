@@ -112,6 +112,17 @@ def _derive_ssim(derivatives, down, truths, weight, weight_at, row, stride, part
 
 
 @part
+def _blur_along(rings, slot, derivatives, stride):
+    """Write the derivatives, blurred along the row, into their rings."""
+    d_mean, d_square, d_product = derivatives
+    b_mean, b_square, b_product = rings
+    for x in range(0, stride, LANES):
+        store(b_mean, slot + x, _along(d_mean, x))
+        store(b_square, slot + x, _along(d_square, x))
+        store(b_product, slot + x, _along(d_product, x))
+
+
+@part
 def _make_gradient(line, rings, slot, truth, weight, weight_at, row, stride, part_ssim, part_square):
     """Turn a row of the picture into its gradient, whose window begins at `slot`; returns what L1 and squares cost."""
     b_mean, b_square, b_product = rings
@@ -190,10 +201,7 @@ def l1_ssim_rows(
             total = _derive_ssim(derivatives, down, truths, weight, row * weight_stride, row, stride, part_ssim)
             if begin <= row < stop:
                 totals[row] += _added(total, lanes)
-            for x in range(0, stride, LANES):
-                store(rings[0], slot + x, _along(derivatives[0], x))
-                store(rings[1], slot + x, _along(derivatives[1], x))
-                store(rings[2], slot + x, _along(derivatives[2], x))
+            _blur_along(rings, slot, derivatives, stride)
         else:
             for rows in rings:
                 _clear(rows, slot, stride)
