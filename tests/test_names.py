@@ -366,3 +366,22 @@ def test_a_name_of_two_classes_is_found(tmp_path):
     (tmp_path / "a.py").write_text("class Row:\n    pass\n\n\nclass Column:\n    pass\n")
     (tmp_path / "b.py").write_text("def f():\n    class Row:\n        pass\n")
     assert classes_of_several([tmp_path / "a.py", tmp_path / "b.py"]) == {"Row": [tmp_path / "a.py", tmp_path / "b.py"]}
+
+
+# ---------------------------------------------------------------- functions
+
+
+def raisers_of_other_names(text: str) -> list[str]:
+    """Return functions that can only raise, named `check_` or `refuse_`: such are `require_` in the whole product."""
+    functions = [n for n in ast.walk(ast.parse(text)) if isinstance(n, ast.FunctionDef)]
+    raising = [f for f in functions if isinstance(f.returns, ast.Constant) and f.returns.value is None]
+    return [f.name for f in raising if f.name.lstrip("_").startswith(("check_", "refuse_"))]
+
+
+@pytest.mark.checkout
+def test_what_raises_on_bad_input_has_one_prefix():
+    root = Path(__file__).parents[1]
+    files = [path for room in ROOMS for path in (root / room).rglob("*.py")]
+    found = {path.name: names for path in files if (names := raisers_of_other_names(path.read_text("utf-8")))}
+    assert found == {}
+    assert raisers_of_other_names("def _check_a() -> None: ...\ndef check_b() -> bool: ...") == ["_check_a"]
