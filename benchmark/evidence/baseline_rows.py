@@ -57,7 +57,7 @@ def table(submissions: list[Path], scene: str) -> str:
     """
     headings = [COLUMNS[key].heading for key in FIGURES]
     lines = [f"| {scene} | {' | '.join(headings)} | last fall of the loss |", "|---|" + "---:|" * (len(FIGURES) + 1)]
-    there: list[EvaluatedResult] = []
+    shown: list[EvaluatedResult] = []
     for submission in map(Submission.open, submissions):
         folders = submission.runs.get(scene, ())
         about = replace(submission.method, train_seconds=None, memory_mb=None)  # of the run, not of the mean scene
@@ -65,9 +65,9 @@ def table(submissions: list[Path], scene: str) -> str:
         if runs:
             cells = [_mean(key, runs) for key in FIGURES]
             lines.append(f"| {submission.name} | {' | '.join(cells)} | {_fall(folders[0])} |")
-            there.append(runs[0])
-    if there:
-        whose = next((run for run in there if run.scores.import_.over_plates), there[0])
+            shown.append(runs[0])
+    if shown:
+        whose = next((run for run in shown if run.scores.import_.over_plates), shown[0])
         lines += [*_trivial_lines(whose.scores), "", f"Trivial baselines: on the Gaussians of {whose.name}."]
     return "\n".join(lines) + "\n"
 
@@ -435,11 +435,11 @@ def main(argv: list[str] | None = None) -> None:
     for name in rows:
         words = ["check", f"{submissions / name}", f"{small}"]
         subprocess.run(python_command("-m", "gof", "benchmark", *words), check=False)
-    there = [submissions / name for name in ROWS if (submissions / name / "method.json").is_file()]
+    finished = [submissions / name for name in ROWS if (submissions / name / "method.json").is_file()]
     for scene in config.scenes:
-        (config.out / f"{scene}.md").write_text(table(there, scene), encoding="utf-8")
-        print(table(there, scene))
-    words = ["score", *map(str, there), f"{small}", "--out", f"{config.out / 'board'}", "--scenes", config.split]
+        (config.out / f"{scene}.md").write_text(table(finished, scene), encoding="utf-8")
+        print(table(finished, scene))
+    words = ["score", *map(str, finished), f"{small}", "--out", f"{config.out / 'board'}", "--scenes", config.split]
     subprocess.run(python_command("-m", "gof", "benchmark", *words), check=True)
 
 

@@ -56,8 +56,8 @@ def make(
         extras.require("bpy", "blender", "making a dataset")
     if not layout.bake_marker.exists():
         machine.require_machine_for(spec, layout.root)
-    with workers_for(scheduler, workers, tls) as there:
-        Generation(spec, layout, there, log, MachineLoad.measured_now()).run()
+    with workers_for(scheduler, workers, tls) as pool:
+        Generation(spec, layout, pool, log, MachineLoad.measured_now()).run()
 
 
 class Generation:

@@ -139,8 +139,8 @@ def pick(scenes: list[SuiteScene], names: tuple[str, ...]) -> list[SuiteScene]:
     """Return the named ones of them, all where no name is given. Raises GofError: one is not there."""
     unknown = sorted(set(names) - {scene.name for scene in scenes})
     if unknown:
-        there = ", ".join(scene.name for scene in scenes)
-        raise GofError(f"no scene {', '.join(map(repr, unknown))} in this size and split; there are {there}")
+        listed = ", ".join(scene.name for scene in scenes)
+        raise GofError(f"no scene {', '.join(map(repr, unknown))} in this size and split; there are {listed}")
     return [scene for scene in scenes if not names or scene.name in names]
 
 

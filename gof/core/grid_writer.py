@@ -103,8 +103,8 @@ class GridWriter:
             if stored.any():
                 empty = False
                 number = (frame, *index, *(0 for _ in self._components))
-                here = (slice(0, 1), *(slice(0, n) for n in stored.shape[:3]))
-                write_bytes(array.file_of(number), array.packed(here, stored[None]))
+                filled = (slice(0, 1), *(slice(0, n) for n in stored.shape[:3]))
+                write_bytes(array.file_of(number), array.packed(filled, stored[None]))
         if empty:
             array.mark(frame)
         write_json(self._marker(frame), {"max_abs_error": largest_error})

@@ -184,26 +184,26 @@ def ranked_in(scenes: Sequence[ScoredScene]) -> tuple[str, ...]:
 def _row(
     name: str, about: AboutMethod, scenes: Sequence[ScoredScene], competes: bool, places: dict[str, dict[str, Figure]]
 ) -> BoardRow:
-    here = [scene for scene in scenes if name in scene.runs]
-    figures = {key: _plain(column.value, name, here) for key, column in COLUMNS.items() if key not in NOT_SHOWN}
+    own_scenes = [scene for scene in scenes if name in scene.runs]
+    figures = {key: _plain(column.value, name, own_scenes) for key, column in COLUMNS.items() if key not in NOT_SHOWN}
     for key in (*RANKED, *PRINTED):
-        estimate, seed_sd = _estimate(key, name, here)
+        estimate, seed_sd = _estimate(key, name, own_scenes)
         if estimate is not None:
             figures[key] = placed(Figure(estimate.mean, estimate.half_width, seed_sd), places.get(key, {}).get(name))
     return BoardRow(
         name=name,
         what="; ".join(filter(None, (about.code, about.commit, about.licence, about.hardware))),
         competes=competes,
-        scenes=len(here),
-        runs=sum(len(scene.runs[name]) for scene in here),
+        scenes=len(own_scenes),
+        runs=sum(len(scene.runs[name]) for scene in own_scenes),
         given=about.given,
         prior=about.prior,
         figures={key: figure for key, figure in figures.items() if figure is not None},
-        over_plates=_over_plates([run.scores for scene in here for run in scene.runs[name]]),
+        over_plates=_over_plates([run.scores for scene in own_scenes for run in scene.runs[name]]),
         alarm=next(
-            (f"{s.name}: {reason}" for s in here for run in s.runs[name] if (reason := too_good(run.scores))), ""
+            (f"{s.name}: {reason}" for s in own_scenes for run in s.runs[name] if (reason := too_good(run.scores))), ""
         ),
-        velocity=velocity_of([run.scores for scene in here for run in scene.runs[name]]) or "",
+        velocity=velocity_of([run.scores for scene in own_scenes for run in scene.runs[name]]) or "",
     )
 
 
@@ -358,8 +358,8 @@ def _whose(methods: Sequence[str], scenes: Sequence[ScoredScene]) -> dict[str, s
         flame = all(run.scores.import_.over_plates for run in scene.runs[name])
         return not flame, not all(name in other.runs for other in scenes)
 
-    there = [(scene, [name for name in methods if name in scene.runs]) for scene in scenes]
-    return {scene.name: min(names, key=partial(last, scene)) for scene, names in there if names}
+    taking_part = [(scene, [name for name in methods if name in scene.runs]) for scene in scenes]
+    return {scene.name: min(names, key=partial(last, scene)) for scene, names in taking_part if names}
 
 
 def _trivial_rows(whose: dict[str, str], scenes: Sequence[ScoredScene]) -> list[BoardRow]:

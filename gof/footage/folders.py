@@ -56,8 +56,8 @@ def loose_pictures(folder: Path) -> list[Path]:
             f"one of {', '.join(PICTURES)}, all of one size, or keep them elsewhere"
         )
     if not pictures:
-        there = ", ".join(f.name for f in files[:3]) + (", ..." if len(files) > 3 else "") or "nothing"
-        raise DataFormatError(f"{folder}: no pictures ({', '.join(PICTURES)}) in this folder; there is {there}")
+        listed = ", ".join(f.name for f in files[:3]) + (", ..." if len(files) > 3 else "") or "nothing"
+        raise DataFormatError(f"{folder}: no pictures ({', '.join(PICTURES)}) in this folder; there is {listed}")
     return pictures
 
 

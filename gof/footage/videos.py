@@ -324,8 +324,8 @@ def _description(path: Path) -> bytes:
 
     video = cv2.VideoCapture(str(path), cv2.CAP_FFMPEG, [cv2.CAP_PROP_FORMAT, -1])
     try:
-        told, data = video.retrieve(None, int(video.get(cv2.CAP_PROP_CODEC_EXTRADATA_INDEX)))
-        return np.ravel(data).tobytes() if told and data is not None else b""
+        ok, data = video.retrieve(None, int(video.get(cv2.CAP_PROP_CODEC_EXTRADATA_INDEX)))
+        return np.ravel(data).tobytes() if ok and data is not None else b""
     except cv2.error:
         return b""
     finally:
@@ -371,10 +371,10 @@ def read_info(path: Path, progress: Callable[[int, int], None] | None = None) ->
             while video.grab():
                 if not stamps and info.stated_fps:
                     start = max(video.get(cv2.CAP_PROP_PTS), 0.0) / info.stated_fps
-                there, picture = video.retrieve()
-                if there:
+                ok, picture = video.retrieve()
+                if ok:
                     changes.add(picture)
-                if there and len(stamps) in wanted:
+                if ok and len(stamps) in wanted:
                     seen[len(stamps)] = picture
                 stamps.append(video.get(cv2.CAP_PROP_POS_MSEC) * 1e-3)
                 if progress:

@@ -76,10 +76,10 @@ def require_new(out: Path, overwrite: bool = False) -> None:
             return
         remedy = ", or replace it with --overwrite" if replaceable else " or remove it"
         raise GofError(f"{out}: already holds a dataset; choose another --out{remedy}")
-    there = _written_in(out)
-    if there and not (out / UNFINISHED).is_file():
+    stray = _written_in(out)
+    if stray and not (out / UNFINISHED).is_file():
         raise GofError(
-            f"{out}: holds {', '.join(there)}, with which a dataset would mix, and no unfinished run left them; choose "
+            f"{out}: holds {', '.join(stray)}, with which a dataset would mix, and no unfinished run left them; choose "
             "another --out, or move them away"
         )
 

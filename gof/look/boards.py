@@ -27,8 +27,8 @@ K = TypeVar("K", int, str)  # what names a row
 
 def used(rows: tuple[BoardRow, ...]) -> list[str]:
     """Return the columns in which any row has a value: those with ranks first."""
-    there = [key for key in COLUMNS if any(key in row.figures for row in rows)]
-    return [key for key in RANKED if key in there] + [key for key in there if key not in RANKED]
+    filled = [key for key in COLUMNS if any(key in row.figures for row in rows)]
+    return [key for key in RANKED if key in filled] + [key for key in filled if key not in RANKED]
 
 
 def best(figures: Mapping[K, Figure], key: str) -> K | None:

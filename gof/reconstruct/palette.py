@@ -54,8 +54,8 @@ def find_palette(observation: Observation) -> Palette | None:
     for f, c in delivered[:: -(-len(delivered) // MOST_PICTURES) or 1]:
         flame = observation.mask[f, c]
         shown = linear_to_srgb(light_above(observation.image[f, c], observation.plate[c])[flame])
-        told = observation.image[f, c][flame].max(1) < CLIPPED
-        for counts, counted in ((every, shown.max(1) > FAINT), (clear, (shown.max(1) > FAINT) & told)):
+        unclipped = observation.image[f, c][flame].max(1) < CLIPPED
+        for counts, counted in ((every, shown.max(1) > FAINT), (clear, (shown.max(1) > FAINT) & unclipped)):
             np.add.at(counts, tuple(_cells(shown[counted]).T), 1)
     if not every.any():
         return None
