@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from gof.dataset import Dataset, Splits
-from gof.dataset.leaks import LeakError, MadeFrom, leaks, refuse_leaks
+from gof.dataset.leaks import LeakError, MadeFrom, leaks, require_no_leaks
 from gof.evaluate import evaluate
 from gof.reconstruct.background import BackgroundOptions, make_background
 from gof.reconstruct.pipeline import reconstruct
@@ -44,7 +44,7 @@ def test_training_refuses_a_plate_that_saw_a_held_out_frame(flame, tmp_path):
     every, some = tuple(range(6)), tuple(flame.train_frames)
     assert flame.test_frames, "something is held out"
     fair = changed(flame, made_from={plate: some}, provenance={"plate": "steady"})
-    refuse_leaks(fair)
+    require_no_leaks(fair)
     leaking = changed(flame, made_from={plate: every}, provenance={"plate": "steady"})
     with pytest.raises(LeakError, match=rf"{plate}.*frames \[4\].*held out"):
         reconstruct(leaking, settings(leaking), tmp_path / "out", until="motion")
@@ -54,16 +54,16 @@ def test_training_refuses_a_plate_that_saw_a_held_out_frame(flame, tmp_path):
     # The same files under another split, as an edited dataset.json has them.
     moved = changed(fair, splits=Splits(tuple(k for k in range(6) if k != 1), (1,)))
     with pytest.raises(LeakError, match=r"frames \[1\]"):
-        refuse_leaks(moved)
+        require_no_leaks(moved)
 
 
 def test_plates_that_do_not_say_what_they_are_from(flame):
     before = changed(flame, provenance={"plate": "minimum"})
     with pytest.raises(LeakError, match="do not say"):
-        refuse_leaks(before)
+        require_no_leaks(before)
     for honest in ({"plate": "given"}, {"blender": "5.1"}):  # filmed or rendered without fire
-        refuse_leaks(changed(flame, provenance=honest))
-    refuse_leaks(changed(flame, provenance={"plate": "minimum"}, splits=Splits(tuple(range(6)), ())))
+        require_no_leaks(changed(flame, provenance=honest))
+    require_no_leaks(changed(flame, provenance={"plate": "minimum"}, splits=Splits(tuple(range(6)), ())))
 
 
 def test_a_reconstruction_says_what_it_learned_from(flame, tmp_path):

@@ -366,3 +366,49 @@ def test_a_name_of_two_classes_is_found(tmp_path):
     (tmp_path / "a.py").write_text("class Row:\n    pass\n\n\nclass Column:\n    pass\n")
     (tmp_path / "b.py").write_text("def f():\n    class Row:\n        pass\n")
     assert classes_of_several([tmp_path / "a.py", tmp_path / "b.py"]) == {"Row": [tmp_path / "a.py", tmp_path / "b.py"]}
+
+
+# ---------------------------------------------------------------- functions
+
+
+def raisers_of_other_names(text: str) -> list[str]:
+    """Return functions that can only raise, named `check_` or `refuse_`: such are `require_` in the whole product."""
+    functions = [n for n in ast.walk(ast.parse(text)) if isinstance(n, ast.FunctionDef)]
+    raising = [f for f in functions if isinstance(f.returns, ast.Constant) and f.returns.value is None]
+    return [f.name for f in raising if f.name.lstrip("_").startswith(("check_", "refuse_"))]
+
+
+@pytest.mark.checkout
+def test_what_raises_on_bad_input_has_one_prefix():
+    root = Path(__file__).parents[1]
+    files = [path for room in ROOMS for path in (root / room).rglob("*.py")]
+    found = {path.name: names for path in files if (names := raisers_of_other_names(path.read_text("utf-8")))}
+    assert found == {}
+    assert raisers_of_other_names("def _check_a() -> None: ...\ndef check_b() -> bool: ...") == ["_check_a"]
+
+
+# ---------------------------------------------------------------- variables
+
+VAGUE = {"here", "there", "told"}  # names that do not say what they hold
+
+
+def vague_names(text: str) -> list[str]:
+    """Return variables and parameters whose names say nothing."""
+    nodes = list(ast.walk(ast.parse(text)))
+    found = {(node.lineno, node.arg) for node in nodes if isinstance(node, ast.arg)}
+    found |= {(n.lineno, n.id) for n in nodes if isinstance(n, ast.Name) and isinstance(n.ctx, ast.Store)}
+    return [f"{name}, line {line}" for line, name in sorted(found) if name in VAGUE]
+
+
+@pytest.mark.checkout
+def test_variables_say_what_they_hold():
+    root = Path(__file__).parents[1]
+    files = [path for room in ROOMS for path in (root / room).rglob("*.py")]
+    product = [path for path in files if "checks" not in path.relative_to(root).parts]  # those are tests
+    wrong = {path.relative_to(root): names for path in product if (names := vague_names(path.read_text("utf-8")))}
+    assert len(product) > 400 and wrong == {}
+
+
+def test_a_vague_name_is_found():
+    assert vague_names("def f(told):\n    here, x = told, there\n") == ["told, line 1", "here, line 2"]
+    assert vague_names("near_camera = lines[0].here\n") == []

@@ -3,6 +3,7 @@
 import ast
 import re
 import sys
+import textwrap
 from functools import partial
 from graphlib import CycleError, TopologicalSorter
 from pathlib import Path
@@ -91,7 +92,7 @@ def test_the_add_on_needs_numpy_and_blender_only():
 
 
 ROOM = "gof.look"  # the one that knows HTML and charts
-DRAWS = {"matplotlib": "gof.look.charts", "jinja2": "gof.look.pages"}  # in that room one file alone imports each
+DRAWS = {"matplotlib": "gof.look.drawing", "jinja2": "gof.look.pages"}  # in that room one file alone imports each
 PAGES = re.compile(r"<html|<!doctype|<script", re.I)
 
 
@@ -151,3 +152,36 @@ def test_a_script_runs_when_all_of_it_is_defined():
                 if isinstance(node, ast.If) and "__name__" in ast.unparse(node.test):
                     guards[path.relative_to(root).as_posix()] = len(body) - place
     assert len(guards) > 40 and {path: left for path, left in guards.items() if left} == {}
+
+
+ROOMS = ("gof", "benchmark", "blender_addon", "firmware", "tools")
+MOST_LINES = {"function": 60, "module": 450}  # rules 10 and 11 of CONTRIBUTING.md; of a function without its docstring
+
+
+def too_long(text: str) -> list[str]:
+    """What of a module has more lines than its kind may have."""
+    counts = {"module": ("module", len(text.splitlines()))}
+    for node in ast.walk(ast.parse(text)):
+        if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef):
+            first = node.body[0]
+            docstring = 0 if ast.get_docstring(node) is None else first.end_lineno - first.lineno + 1
+            lines = node.end_lineno - node.lineno + 1 - docstring
+            counts[f"{node.name}, line {node.lineno}"] = "function", lines
+    return [f"{name}: {count} lines" for name, (kind, count) in counts.items() if count > MOST_LINES[kind]]
+
+
+def test_what_is_too_long_is_found():
+    function = 'def f():\n    """Say.\n\n    More.\n    """\n' + "    x = 1\n\n" * 29 + "    x = 2\n"
+    method = "class A:\n    @property\n" + textwrap.indent(function, "    ")
+    assert too_long(function) == [] and too_long(method) == []
+    assert too_long(function + "    x = 3\n") == ["f, line 1: 61 lines"]
+    assert too_long(method + "        x = 3\n") == ["f, line 3: 61 lines"]
+    assert too_long("x = 1\n" * 450) == [] and too_long("x = 1\n" * 451) == ["module: 451 lines"]
+
+
+@pytest.mark.checkout
+def test_functions_fit_on_a_screen_and_modules_hold_one_idea():
+    root = Path(__file__).parents[1]
+    files = [path for room in ROOMS for path in (root / room).rglob("*.py")]
+    wrong = [f"{path.relative_to(root)}: {found}" for path in files for found in too_long(path.read_text("utf-8"))]
+    assert len(files) > 400 and not wrong, "split them where an idea ends:\n" + "\n".join(wrong)

@@ -168,10 +168,10 @@ def say_frames(config: AddConfig, folder: Path, dataset: Dataset) -> None:
     Raises:
         GofError: the frames that the result was made from are unknown, or stated twice.
     """
-    there = (folder / MADE_FROM).is_file()
-    if there == (config.trained_on is not None):
-        why = "says itself which frames went in" if there else f"does not say which frames went in ({MADE_FROM})"
-        raise GofError(f"{config.result}: {why}; {'leave out' if there else 'give'} --trained-on")
+    says_itself = (folder / MADE_FROM).is_file()
+    if says_itself == (config.trained_on is not None):
+        why = "says itself which frames went in" if says_itself else f"does not say which frames went in ({MADE_FROM})"
+        raise GofError(f"{config.result}: {why}; {'leave out' if says_itself else 'give'} --trained-on")
     if config.trained_on is not None:
         frames = dataset.train_frames if config.trained_on == "train" else range(len(dataset.times_s))
         MadeFrom.of([config.result.name], frames).write(folder)

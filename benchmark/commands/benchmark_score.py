@@ -70,23 +70,23 @@ def main(argv: list[str]) -> int:
     if len(set(names)) < len(names):
         raise GofError(f"two submissions have one name: {', '.join(sorted(names))}; change it in method.json")
     split, names = split_of(config.scenes)
-    there = made_scenes(suite, split)
-    chosen = pick([made.scene for made in there.values()], names)
-    here = [there[scene.name] for scene in chosen if any(scene.name in s.runs for s in submissions)]
-    if not here:
+    by_name = made_scenes(suite, split)
+    chosen = pick([made.scene for made in by_name.values()], names)
+    entered = [by_name[scene.name] for scene in chosen if any(scene.name in s.runs for s in submissions)]
+    if not entered:
         raise GofError(f"no submission has a result of a {split} scene that is made in {suite}")
     out = config.out or require_writable(folders[0].absolute().parent) / "board"
     kept = out / "scores"
-    refused = {submission.name: crosses(submission, here, kept) for submission in submissions}
-    scenes = [scored_scene(made, submissions, kept) for made in here]
-    pictures = "; ".join(sorted({made.pictures for made in here}))
+    refused = {submission.name: crosses(submission, entered, kept) for submission in submissions}
+    scenes = [scored_scene(made, submissions, kept) for made in entered]
+    pictures = "; ".join(sorted({made.pictures for made in entered}))
     size = size_of(suite)
-    share = f"{len(here)} of {len(scenes_of(size, split))} {split} scenes"
+    share = f"{len(entered)} of {len(scenes_of(size, split))} {split} scenes"
     title = f"{suite_name()}, {size}, {share}, pictures {pictures}"
     found = board(title, {submission.name: submission.method for submission in submissions}, scenes, refused)
     write_record(out / "board.json", found)
     write_figures(found)
-    grids = {made.scene.name: _pictures(made, scored) for made, scored in zip(here, scenes, strict=True)}
+    grids = {made.scene.name: _pictures(made, scored) for made, scored in zip(entered, scenes, strict=True)}
     for name, text in (("board.html", suite_html(found, grids)), ("board.md", suite_markdown(found))):
         with atomic_path(out / name) as temporary:
             temporary.write_text(text, encoding="utf-8")
@@ -95,9 +95,9 @@ def main(argv: list[str]) -> int:
     return 0
 
 
-def crosses(submission: Submission, here: list[MadeScene], kept: Path) -> tuple[str, ...]:
+def crosses(submission: Submission, entered: list[MadeScene], kept: Path) -> tuple[str, ...]:
     """Why `gof benchmark check` refuses a submission, for what it has of these scenes; () where it does not."""
-    datasets = {made.scene.name: made.dataset for made in here}
+    datasets = {made.scene.name: made.dataset for made in entered}
     of_these = replace(submission, runs={name: runs for name, runs in submission.runs.items() if name in datasets})
     found = check(of_these, datasets, lambda run, dataset: kept_scores(run, dataset, kept))
     refused = tuple(str(finding) for finding in found if finding.verdict == "refused")

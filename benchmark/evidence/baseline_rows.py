@@ -57,7 +57,7 @@ def table(submissions: list[Path], scene: str) -> str:
     """
     headings = [COLUMNS[key].heading for key in FIGURES]
     lines = [f"| {scene} | {' | '.join(headings)} | last fall of the loss |", "|---|" + "---:|" * (len(FIGURES) + 1)]
-    there: list[EvaluatedResult] = []
+    shown: list[EvaluatedResult] = []
     for submission in map(Submission.open, submissions):
         folders = submission.runs.get(scene, ())
         about = replace(submission.method, train_seconds=None, memory_mb=None)  # of the run, not of the mean scene
@@ -65,9 +65,9 @@ def table(submissions: list[Path], scene: str) -> str:
         if runs:
             cells = [_mean(key, runs) for key in FIGURES]
             lines.append(f"| {submission.name} | {' | '.join(cells)} | {_fall(folders[0])} |")
-            there.append(runs[0])
-    if there:
-        whose = next((run for run in there if run.scores.import_.over_plates), there[0])
+            shown.append(runs[0])
+    if shown:
+        whose = next((run for run in shown if run.scores.import_.over_plates), shown[0])
         lines += [*_trivial_lines(whose.scores), "", f"Trivial baselines: on the Gaussians of {whose.name}."]
     return "\n".join(lines) + "\n"
 
@@ -326,24 +326,18 @@ def train_other(config: BaselineRows, name: str, data: Path, out: Path) -> None:
     folder = out / "submissions" / name / data.name
     if (folder / "scores.json").is_file():
         return
-    here = fresh(out / name / data.name)
+    work = fresh(out / name / data.name)
+    log = work / "log.txt"
     for path, text in training.settings.items():
         path.write_text(text)
-    costs = [measured([f"{config.python}", *words], here / "log.txt") for words in training.commands]
+    costs = [measured([f"{config.python}", *words], log) for words in training.commands]
     result = last_of(training.result)
     if training.options:
-        measured(python_command("-m", "gof", "convert", f"{result}", *training.options), here / "log.txt")
-    add(
-        result,
-        data,
-        folder,
-        ("--trained-on", "train", "--curve", f"{here}/curve.csv"),
-        here / "log.txt",
-        costs,
-    )
-    log = (here / "log.txt").read_text().splitlines()
-    told = next(line for line in log if line.startswith("gof baseline: ")).removeprefix("gof baseline: ")
-    head, _, licence = told.rpartition("; licence: ")
+        measured(python_command("-m", "gof", "convert", f"{result}", *training.options), log)
+    add(result, data, folder, ("--trained-on", "train", "--curve", f"{work}/curve.csv"), log, costs)
+    lines = log.read_text().splitlines()
+    origin = next(line for line in lines if line.startswith("gof baseline: ")).removeprefix("gof baseline: ")
+    head, _, licence = origin.rpartition("; licence: ")
     title, _, commit = head.partition(", commit ")
     about = {"name": f"{title}, {config.steps} steps", "made_by": "CPU re-run", "authors": [AUTHORS[name]]}
     about |= {
@@ -366,11 +360,12 @@ def train_ours(config: BaselineRows, name: str, data: Path, out: Path, seed: int
     if (folder / "scores.json").is_file():
         return
     steps = config.steps if name != "gof_long" else equal_steps(config, data, out)
-    here = fresh(out / name / data.name / f"seed_{seed}")
-    words = python_command(*"-m gof reconstruct".split(), f"{data}", "--out", f"{here}/result", "--preset", "preview")
+    work = fresh(out / name / data.name / f"seed_{seed}")
+    log = work / "log.txt"
+    words = python_command(*"-m gof reconstruct".split(), f"{data}", "--out", f"{work}/result", "--preset", "preview")
     words += ["--steps", f"{steps}", "--seed", f"{seed}", *options]
-    costs = [measured(words, here / "log.txt")]
-    add(here / "result", data, folder, (), here / "log.txt", costs)
+    costs = [measured(words, log)]
+    add(work / "result", data, folder, (), log, costs)
     commit = subprocess.run(["git", "rev-parse", "--short", "HEAD"], capture_output=True, text=True, check=False)
     about = {"name": title if name == "gof_long" else f"{title}, {steps} steps", "authors": ["the authors of gof"]}
     about |= {"code": "gof reconstruct --preset preview", "commit": commit.stdout.strip() or "not known"}
@@ -440,11 +435,11 @@ def main(argv: list[str] | None = None) -> None:
     for name in rows:
         words = ["check", f"{submissions / name}", f"{small}"]
         subprocess.run(python_command("-m", "gof", "benchmark", *words), check=False)
-    there = [submissions / name for name in ROWS if (submissions / name / "method.json").is_file()]
+    finished = [submissions / name for name in ROWS if (submissions / name / "method.json").is_file()]
     for scene in config.scenes:
-        (config.out / f"{scene}.md").write_text(table(there, scene), encoding="utf-8")
-        print(table(there, scene))
-    words = ["score", *map(str, there), f"{small}", "--out", f"{config.out / 'board'}", "--scenes", config.split]
+        (config.out / f"{scene}.md").write_text(table(finished, scene), encoding="utf-8")
+        print(table(finished, scene))
+    words = ["score", *map(str, finished), f"{small}", "--out", f"{config.out / 'board'}", "--scenes", config.split]
     subprocess.run(python_command("-m", "gof", "benchmark", *words), check=True)
 
 

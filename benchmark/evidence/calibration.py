@@ -19,7 +19,8 @@ import numpy as np
 import tyro
 
 from gof.dataset import Dataset
-from gof.look.charts import line_chart, require_figure
+from gof.look.charts import line_chart
+from gof.look.drawing import require_figure
 from gof.reconstruct.flow_field import FlowField
 from gof.reconstruct.flow_prior import FlowPrior
 from gof.reconstruct.observation import observe

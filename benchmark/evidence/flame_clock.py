@@ -156,11 +156,11 @@ def print_without(rows: list[dict]) -> None:
         print(f"| {clip} | {both[0]} | {both[1]} | {whole[0]['sigma_ms']:.2f} | {worst[0]:.2f} | {worst[1]:.2f} |")
     for fps in dict.fromkeys(row["fps"] for row in rows):
         mine = [row for row in rows if row["fps"] == fps]
-        error, there, sigma = (np.array([row[w] for row in mine]) for w in ("error_ms", "at_flame_ms", "sigma_ms"))
+        error, local, sigma = (np.array([row[w] for row in mine]) for w in ("error_ms", "at_flame_ms", "sigma_ms"))
         half = 500 / fps
         print(
-            f"\nno board, {fps} fps: rms {np.sqrt(np.mean(error**2)):.2f} ms ({np.sqrt(np.mean(there**2)):.2f} at the "
-            f"flame's line), {np.sum(np.abs(error) <= half)} ({np.sum(np.abs(there) <= half)}) of {len(error)} within "
+            f"\nno board, {fps} fps: rms {np.sqrt(np.mean(error**2)):.2f} ms ({np.sqrt(np.mean(local**2)):.2f} at the "
+            f"flame's line), {np.sum(np.abs(error) <= half)} ({np.sum(np.abs(local) <= half)}) of {len(error)} within "
             f"half a frame, {np.sum(np.abs(error) <= sigma)} within the stated +-"
         )
 

@@ -64,21 +64,21 @@ def angle_deg(a: Camera, b: Camera, place: np.ndarray) -> float:
 
 def draw_upright_picture(given: Dataset, nearest: int, seen: Dataset, middle: np.ndarray) -> Draw:
     """Return a drawer of the trivial baseline: the nearest camera's light on a plane through the flame's `middle`."""
-    here, there = given.cameras[nearest], seen.cameras[0]
-    towards = here.position - middle
+    nearest_camera, seen_camera = given.cameras[nearest], seen.cameras[0]
+    towards = nearest_camera.position - middle
     across = np.cross([0.0, 0.0, 1.0], towards)
     across /= np.linalg.norm(across)
     size = 0.1 * np.linalg.norm(towards)
     corners = middle + size * np.array(
         [[x * across[0], x * across[1], z] for x, z in ((-1, -1), (1, -1), (1, 1), (-1, 1))]
     )
-    pixels = [camera.project(corners)[0].astype(np.float32) for camera in (here, there)]
+    pixels = [camera.project(corners)[0].astype(np.float32) for camera in (nearest_camera, seen_camera)]
     warp = cv2.getPerspectiveTransform(*pixels)
     plates = [srgb_to_linear(dataset.static(c)) for dataset, c in ((given, nearest), (seen, 0))]
 
     def draw(_: int, frame: int) -> np.ndarray:
         light = np.maximum(srgb_to_linear(given.image(nearest, frame)) - plates[0], 0).astype(np.float32)
-        moved = cv2.warpPerspective(light, warp, (there.width, there.height), flags=cv2.INTER_LINEAR)
+        moved = cv2.warpPerspective(light, warp, (seen_camera.width, seen_camera.height), flags=cv2.INTER_LINEAR)
         return linear_to_srgb(np.clip(plates[1] + moved, 0, 1))
 
     return draw

@@ -53,8 +53,8 @@ def main(argv: list[str] | None = None) -> None:
             block = block_length(count, eddy)
             width = norm.ppf(0.5 + CONFIDENCE / 2)
             alone = np.mean([abs(one.mean()) <= width * np.sqrt(block_variance(one, block)) for one in drawn])
-            here = np.mean([abs(found.mean) <= found.half_width for found in (over_frames(one, eddy) for one in drawn)])
-            print(f"| {count} | {eddy} | {integral_time(drawn.T):.2f} | {alone:.1%} | {here:.1%} |", flush=True)
+            ours = np.mean([abs(found.mean) <= found.half_width for found in (over_frames(one, eddy) for one in drawn)])
+            print(f"| {count} | {eddy} | {integral_time(drawn.T):.2f} | {alone:.1%} | {ours:.1%} |", flush=True)
 
 
 if __name__ == "__main__":

@@ -120,7 +120,7 @@ def resampled(values: np.ndarray, shape: tuple[int, ...]) -> np.ndarray:
     """Cell-centred values on a grid of the same box with other cells."""
     from scipy.ndimage import zoom
 
-    factors = [there / here for there, here in zip(shape, values.shape, strict=True)]
+    factors = [wanted / given for wanted, given in zip(shape, values.shape, strict=True)]
     return zoom(values.astype(np.float32), factors, order=1, mode="nearest", grid_mode=True)
 
 

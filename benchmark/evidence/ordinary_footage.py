@@ -107,9 +107,6 @@ def variants(config: OrdinaryFootage) -> list[FootageVariant]:
         for c in CAMERAS
     }
     hevc = ["-c:v", "libx265", "-preset", "ultrafast", "-pix_fmt", "yuv420p10le"]
-    lying = {c: LYING for c in CAMERAS}
-    tag = dict.fromkeys(CAMERAS, "tag")
-    lying_fov = np.rad2deg(2 * np.arctan(np.tan(np.deg2rad(config.fov) / 2) * 854 / 480))
     return [
         FootageVariant("as filmed", usual, phones=True),
         FootageVariant("no board in the pictures", ("--times", rate, *fov, "--board", "none"), phones=True),
@@ -137,27 +134,38 @@ def variants(config: OrdinaryFootage) -> list[FootageVariant]:
         FootageVariant("variable rate, `--times stamps`", ("--times", "stamps", *usual[2:]), slow, phones=True),
         FootageVariant("cam_1 smaller", usual, {"cam_1": ["-vf", "scale=iw*2/3:-2"]}, phones=True),
         FootageVariant("HEVC, 10 bits", usual, {c: hevc for c in CAMERAS}),
+        *_lying_phones(config),
+        FootageVariant("wrong --fov, board", ("--times", rate, "--fov", "60", *board)),
+        FootageVariant("wrong --fov, no board", ("--times", rate, "--fov", "60", "--board", "none")),
+    ]
+
+
+def _lying_phones(config: OrdinaryFootage) -> list[FootageVariant]:
+    """Return the rows of phones that lie on their side, with the tag that says so and without."""
+    lying = {c: LYING for c in CAMERAS}
+    tag = dict.fromkeys(CAMERAS, "tag")
+    fov = np.rad2deg(2 * np.arctan(np.tan(np.deg2rad(config.fov) / 2) * 854 / 480))
+    usual = ("--times", f"{config.fps:g}", "--fov", f"{fov:.4g}", "--marker-mm", f"{1000 * config.marker_m:g}")
+    return [
         FootageVariant(
             "phones: lying, with rotation tag",
-            ("--times", rate, "--fov", f"{lying_fov:.4g}", *board),
+            usual,
             lying,
             tag,
             phones=True,
         ),
         FootageVariant(
             "the same, cam_1's tag is lost",
-            ("--times", rate, "--fov", f"{lying_fov:.4g}", *board),
+            usual,
             lying,
             {"cam_0": "tag", "cam_2": "tag"},
         ),
         FootageVariant(
             "the same, `--turn clockwise`",
-            ("--times", rate, "--fov", f"{lying_fov:.4g}", *board, "--turn", "clockwise"),
+            (*usual, "--turn", "clockwise"),
             lying,
             {"cam_0": "tag", "cam_2": "tag"},
         ),
-        FootageVariant("wrong --fov, board", ("--times", rate, "--fov", "60", *board)),
-        FootageVariant("wrong --fov, no board", ("--times", rate, "--fov", "60", "--board", "none")),
     ]
 
 

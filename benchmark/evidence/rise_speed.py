@@ -153,8 +153,8 @@ def climb(light: np.ndarray, frame_s: float, frames_apart: tuple[int, ...] = (2,
             rows = np.arange(np.ceil(speed * apart), height)
             frame = np.repeat(np.arange(len(later))[:, None], len(rows), 1)
             above = map_coordinates(later, [frame, np.broadcast_to(rows - speed * apart, frame.shape)], order=1)
-            here = first[:, rows.astype(int)]
-            agreement[k] += (here * above).mean() / np.sqrt((here**2).mean() * (above**2).mean() + 1e-30)
+            below = first[:, rows.astype(int)]
+            agreement[k] += (below * above).mean() / np.sqrt((below**2).mean() * (above**2).mean() + 1e-30)
     best = int(np.argmax(agreement))
     return float((speeds[best] + _offset(agreement, best) * speeds[1]) / frame_s)
 

@@ -145,8 +145,8 @@ def report(figures: dict[str, Any]) -> str:
     for way in WAYS:
         cells = ""
         for name in ("cpu_ms", "wall_ms"):
-            here, base = np.array(figures[name][way]), np.array(figures[name][first])
-            cells += f"{here.min():10.1f} ({np.median(here):6.1f}){np.median(base) / np.median(here):7.2f}x   "
+            own, base = np.array(figures[name][way]), np.array(figures[name][first])
+            cells += f"{own.min():10.1f} ({np.median(own):6.1f}){np.median(base) / np.median(own):7.2f}x   "
         lines.append(f"{way:34s}{cells}")
     lines.append(
         f"after {len(figures['cpu_ms'][first]) * 2 + 2 * WARM_UP} steps the positions of the last two differ by "

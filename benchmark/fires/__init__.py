@@ -51,7 +51,7 @@ def fires(split: Split, folder: Path = FOLDER) -> list[BenchmarkFire]:
         DataFormatError: a spec is wrong, is not named as its file, or is of the test split and not as it was sealed.
     """
     if split == "test":
-        check_seal(folder / split)
+        require_seal(folder / split)
     return [_read(split, path) for path in sorted((folder / split).glob("*.json"))]
 
 
@@ -70,7 +70,7 @@ def _read(split: Split, path: Path) -> BenchmarkFire:
     return BenchmarkFire(split, spec, find_fire(place[1]))
 
 
-def check_seal(folder: Path) -> None:
+def require_seal(folder: Path) -> None:
     """Check that the JSON files of a folder are those of its `SHA256SUMS`.
 
     Raises:

@@ -151,8 +151,8 @@ def _over_law(axis: Axis | None, heat_kw: float, zone: int) -> tuple[float, floa
         return math.nan, math.nan
     scaled = axis.height_m / heat_kw**0.4
     low = ZONES[zone - 1][0] if zone else LOWEST
-    there = (scaled >= low) & (scaled < ZONES[zone][0]) & np.isfinite(axis.speed_m_s)
-    height, speed = axis.height_m[there], axis.speed_m_s[there]
+    inside = (scaled >= low) & (scaled < ZONES[zone][0]) & np.isfinite(axis.speed_m_s)
+    height, speed = axis.height_m[inside], axis.speed_m_s[inside]
     return _mean(speed / mccaffrey_speed(height, heat_kw)), measures.power_law(height, speed)[1]
 
 

@@ -165,17 +165,17 @@ def _changes(time_s: np.ndarray, light: np.ndarray) -> np.ndarray:
 
 def _likeness(changes: np.ndarray, height: np.ndarray, rows: np.ndarray, per_frame: float) -> float:
     """Correlation of the changes at some rows with later ones, so much higher a frame; below the top only."""
-    product = here2 = there2 = 0.0
+    product = below2 = above2 = 0.0
     for lag in range(1, LAGS + 1):
         higher = height[rows] + lag * per_frame
         inside = rows[higher <= height[-1]]
         place = (height[inside] + lag * per_frame - height[0]) / (height[1] - height[0])
         low = np.minimum(place.astype(int), len(height) - 2)
         part = place - low
-        here = changes[:-lag, inside]
-        there = changes[lag:, low] * (1 - part) + changes[lag:, low + 1] * part
-        product, here2, there2 = product + (here * there).sum(), here2 + (here**2).sum(), there2 + (there**2).sum()
-    return product / math.sqrt(here2 * there2) if here2 > 0 and there2 > 0 else 0.0
+        below = changes[:-lag, inside]
+        above = changes[lag:, low] * (1 - part) + changes[lag:, low + 1] * part
+        product, below2, above2 = product + (below * above).sum(), below2 + (below**2).sum(), above2 + (above**2).sum()
+    return product / math.sqrt(below2 * above2) if below2 > 0 and above2 > 0 else 0.0
 
 
 # ----------------------------------------------------------------

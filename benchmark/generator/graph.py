@@ -55,9 +55,9 @@ def make(
     if not scheduler:  # whose workers have Blender, where it is given
         extras.require("bpy", "blender", "making a dataset")
     if not layout.bake_marker.exists():
-        machine.refuse_if_too_large(spec, layout.root)
-    with workers_for(scheduler, workers, tls) as there:
-        Generation(spec, layout, there, log, MachineLoad.measured_now()).run()
+        machine.require_machine_for(spec, layout.root)
+    with workers_for(scheduler, workers, tls) as pool:
+        Generation(spec, layout, pool, log, MachineLoad.measured_now()).run()
 
 
 class Generation:

@@ -49,7 +49,7 @@ LEAST_BAKE = 0.05  # share of a run that is its steps, where its start hides the
 FRAMES = 2  # of a tiny run's clip
 
 
-def refuse_if_too_large(spec: SceneSpec, root: Path) -> Prediction:
+def require_machine_for(spec: SceneSpec, root: Path) -> Prediction:
     """Print the prediction.
 
     Raises:

@@ -108,18 +108,18 @@ class Sequence:
         self.notes = [f"{count} files are missing ({which}): a gap in the fire's clock"] if count else []
         if (step := usual_step(numbers)) > 1:
             self.notes.append(f"the files' numbers go in steps of {step}: {step / config.rate_hz:g} s apart")
-        there = {path: self._names_in(path) for path in self.files}
-        self.velocity = self._parts_of_velocity(there[self.files[0]])
+        names_in = {path: self._names_in(path) for path in self.files}
+        self.velocity = self._parts_of_velocity(names_in[self.files[0]])
         self.glow = config.emission or config.flame
         heat = None if config.emission else config.temperature
         self.names = [*self.velocity, self.glow, *([heat] if heat else [])]
-        self.dark = {path for path, names in there.items() if self.glow not in names}
-        for path, names in there.items():
+        self.dark = {path for path, names in names_in.items() if self.glow not in names}
+        for path, names in names_in.items():
             needed = self.velocity if path in self.dark else self.names
             for name in needed:
                 self._require(path, name, names)
         if len(self.dark) == len(self.files):
-            self._require(self.files[0], self.glow, there[self.files[0]])
+            self._require(self.files[0], self.glow, names_in[self.files[0]])
         if self.dark:
             dark = ", ".join(path.name for path in self.files if path in self.dark)
             self.notes.append(f"{dark}: without the grid '{self.glow}', taken as dark")
@@ -189,17 +189,17 @@ class Sequence:
         except Exception as error:  # its own types are not exported
             raise DataFormatError(f"{path}: is no OpenVDB file: {error}") from error
 
-    def _require(self, path: Path, name: str, there: set[str]) -> None:
-        if name not in there:
+    def _require(self, path: Path, name: str, names: set[str]) -> None:
+        if name not in names:
             raise DataFormatError(
-                f"{path}: no grid '{name}' can be read there; it has {', '.join(sorted(there)) or 'none'}"
+                f"{path}: no grid '{name}' can be read there; it has {', '.join(sorted(names)) or 'none'}"
             )
 
-    def _parts_of_velocity(self, there: set[str]) -> list[str]:
+    def _parts_of_velocity(self, names: set[str]) -> list[str]:
         """Return names of the one or three grids of velocity, by those in the first file."""
         name = self.config.velocity
         ways = [[f"{name}{link}{axis}" for axis in "xyz"] for link in (".", "_", "")]
-        return next((parts for parts in ways if name not in there and there.issuperset(parts)), [name])
+        return next((parts for parts in ways if name not in names and names.issuperset(parts)), [name])
 
     def _grid(self, path: Path, name: str) -> Any:
         try:

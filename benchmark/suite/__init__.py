@@ -17,7 +17,7 @@ from typing import Any, ClassVar, Literal, get_args
 from gof.core.errors import GofError
 from gof.core.files import read_json
 from gof.core.records import read_record
-from gof_benchmark.fires import SPLITS, Split, check_seal, fires
+from gof_benchmark.fires import SPLITS, Split, fires, require_seal
 from gof_benchmark.scenes import FOLDER as BUILT_IN
 from gof_benchmark.solvers.openfoam.foam_fire import FoamFire
 from gof_blender.pure.spec import SceneSpec
@@ -112,7 +112,7 @@ def scenes_of(size: Size, split: Split | Literal["all"] = "all") -> list[SuiteSc
     Raises:
         DataFormatError: the list, a truth or a test fire is not as it was sealed.
     """
-    check_seal(FOLDER)
+    require_seal(FOLDER)
     listed = read_record(SuiteList, FILE)
     chosen = listed.sizes[size]
     burning = _specs()
@@ -139,8 +139,8 @@ def pick(scenes: list[SuiteScene], names: tuple[str, ...]) -> list[SuiteScene]:
     """Return the named ones of them, all where no name is given. Raises GofError: one is not there."""
     unknown = sorted(set(names) - {scene.name for scene in scenes})
     if unknown:
-        there = ", ".join(scene.name for scene in scenes)
-        raise GofError(f"no scene {', '.join(map(repr, unknown))} in this size and split; there are {there}")
+        listed = ", ".join(scene.name for scene in scenes)
+        raise GofError(f"no scene {', '.join(map(repr, unknown))} in this size and split; there are {listed}")
     return [scene for scene in scenes if not names or scene.name in names]
 
 

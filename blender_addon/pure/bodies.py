@@ -70,10 +70,10 @@ def reach_into(triangles: np.ndarray, low: np.ndarray, high: np.ndarray) -> np.n
     return near
 
 
-def _told(bodies: list[Body], told, spec: SceneSpec) -> Iterator[str]:
+def _told(bodies: list[Body], tell, spec: SceneSpec) -> Iterator[str]:
     """Yield a line for each of the first, and one for all others."""
     for body in bodies[:TOLD]:
-        yield told(body, spec)
+        yield tell(body, spec)
     if others := [body.name for body in bodies[TOLD:]]:
         yield f"and {len(others)} more: {', '.join(map(repr, others[:10]))}{' ...' if others[10:] else ''}"
 

@@ -254,7 +254,7 @@ class GridFire:
         changing = [effect_modules.name_of(effect) for effect in effects if effect_modules.changes_bake(effect)]
         require(not changing, "effects", "those of cameras and pictures: a fire of grids is not simulated", changing)
 
-    def check_clock(self, timeline: Timeline) -> None:
+    def require_clock(self, timeline: Timeline) -> None:
         """Raise SpecError if the grids' clock does not cover what pictures and truth look at."""
         steps, time_s = timeline.steps_needed, self.store.velocity.times_s
         first, last = (self.start_s + timeline.simulated_s(step) for step in (steps[0], steps[-1]))
@@ -265,8 +265,8 @@ class GridFire:
         require(self.store.covers(first, last), "fire.start_s", rule, self.start_s)
 
     def box(self, domain: Domain | None, timeline: Timeline) -> Domain:
-        """Return the box that the flame's cells fill. Raises SpecError: see `store`, `check_clock`."""
-        self.check_clock(timeline)
+        """Return the box that the flame's cells fill. Raises SpecError: see `store`, `require_clock`."""
+        self.require_clock(timeline)
         low = np.add(self.store.index_to_world[:3, 3], self.position)
         size = np.multiply(self.store.grid, self.store.cell_m)
         return Domain(tuple(low.tolist()), tuple(size.tolist()), max(self.store.grid))

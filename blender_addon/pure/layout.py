@@ -218,7 +218,7 @@ class Layout:
     def require_free(self, spec: SceneSpec) -> None:
         """Raise SpecError where `claim` would; nothing is written."""
         if self.spec.exists():
-            self._check_claim(spec.published_in(self.root).to_dict(), spec)
+            self._require_unchanged(spec.published_in(self.root).to_dict(), spec)
         elif self.root.exists() and not self.root.is_dir():
             raise SpecError(f"{self.root} is a file; choose a new output folder")
         elif self.root.is_dir() and not self._holds_nothing():
@@ -232,7 +232,7 @@ class Layout:
             inside = [path for path in self.hidden.iterdir() if path.name != ".lock"]
         return not inside
 
-    def _check_claim(self, published: dict, spec: SceneSpec) -> None:
+    def _require_unchanged(self, published: dict, spec: SceneSpec) -> None:
         way_out = f"choose another output folder, or delete {self.root}"
         try:
             before = scene_spec.load(self.spec).published_in(self.root).to_dict()

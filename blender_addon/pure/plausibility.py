@@ -225,8 +225,8 @@ SPARE = 1.05
 def studio_scale(spec: SceneSpec) -> float:
     """Return the factor by which the studio is built larger, so that fire and cameras stand in it; 1 where they do."""
     room, box = FREE_SPACE["studio"], spec.box
-    reach = [high / there for high, there in zip(box.max, room.high, strict=True)]
-    reach += [low / there for low, there in zip(box.min[:2], room.low[:2], strict=True)]
+    reach = [high / wall for high, wall in zip(box.max, room.high, strict=True)]
+    reach += [low / wall for low, wall in zip(box.min[:2], room.low[:2], strict=True)]
     cameras = positions(spec.cameras)
     reach += [np.abs(cameras[:, 0]).max() / room.high[0], (cameras[:, 1] / room.low[1]).max()]
     most = float(max(reach))

@@ -135,11 +135,11 @@ def within_cells(flame: np.ndarray) -> np.ndarray:
     found = np.asarray(flame, float)[None]
     for axis in (1, 2, 3):
         padded = np.concatenate([found.take([0, 0], axis), found, found.take([-1, -1], axis)], axis)
-        there = [
+        parts = [
             sum(weight * _part(padded, axis, start) for start, weight in enumerate(weights))
             for weights in (QUARTER, QUARTER[::-1])
         ]
-        found = np.concatenate(there)
+        found = np.concatenate(parts)
     return found
 
 

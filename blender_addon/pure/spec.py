@@ -132,11 +132,11 @@ class SceneSpec:
         require(with_file == (self.blend_file is not None), "blend_file", rule, self.blend_file)
         for name, listed in (("ground_truth", self.ground_truth), ("effects", self.effect_names)):
             require(len(set(listed)) == len(listed), name, "listed once each", listed)
-        self._check_pictures()
-        self._check_timeline()
+        self._require_pictures()
+        self._require_timeline()
         self.fire.check(self.domain, self.effects)
 
-    def _check_pictures(self) -> None:
+    def _require_pictures(self) -> None:
         least = -(-400 // min(self.cameras.sensor_px))
         require(
             min(self.picture_px) >= 4, "render.percentage", f"at least {least} for this sensor", self.render.percentage
@@ -148,7 +148,7 @@ class SceneSpec:
         rule = f"at most the clip's {clip.frames} frames"
         require(rig.around_frames <= clip.frames, "cameras.around_frames", rule, rig.around_frames)
 
-    def _check_timeline(self) -> None:
+    def _require_timeline(self) -> None:
         rule = "long enough for the shutter to open before frame 0"
         require(self.timeline.earliest_seen >= 1, "clip.warm_up_frames", rule, self.clip.warm_up_frames)
         rule = f"such that the solver ends by step {LAST_FRAME}, Blender's last"

@@ -95,10 +95,10 @@ def grids_at(
         thinned = scale.prod() / wide.prod()
         weight = opacity[row] * thinned / (np.sqrt(2 * np.pi) * np.cbrt(scale.prod())) * np.exp(-0.5 * squared)
         weight[squared > REACH**2] = 0.0
-        there = tuple(slice(a, b) for a, b in zip(first, last, strict=True))
-        density[there] += weight
-        emission[there] += weight[..., None] * colour[row]
-        momentum[there] += weight[..., None] * velocity[row]
+        window = tuple(slice(a, b) for a, b in zip(first, last, strict=True))
+        density[window] += weight
+        emission[window] += weight[..., None] * colour[row]
+        momentum[window] += weight[..., None] * velocity[row]
     mean = np.divide(momentum, density[..., None], out=np.zeros_like(momentum), where=density[..., None] > 0)
     return {
         name: grid.astype(np.float32)

@@ -54,7 +54,7 @@ class GridSource:
         return flame
 
     def bake(self, layout: Layout, progress: Callable[[int, int], None]) -> None:
-        self._fire.check_clock(self._spec.timeline)
+        self._fire.require_clock(self._spec.timeline)
         steps = self._spec.timeline.steps_needed
         for done, step in enumerate(steps, 1):
             content, matrix = {EMISSION: self._emission(step)}, self._fire.store.index_to_world

@@ -68,7 +68,7 @@ def add_fire(spec: SceneSpec, scene: bpy.types.Scene, place: bpy.types.Object) -
     """
     remove(scene, lambda part: part in (DOMAIN, EMITTER, "effect"))
     frames_per_second = scene.render.fps / scene.render.fps_base
-    here = replace(
+    placed_spec = replace(
         spec,
         clip=Clip(
             frames=max(scene.frame_end, 1), fps=frames_per_second, warm_up_frames=0, time_scale=spec.clip.time_scale
@@ -78,7 +78,7 @@ def add_fire(spec: SceneSpec, scene: bpy.types.Scene, place: bpy.types.Object) -
     parts = collection(scene, "Fire")
     mantaflow.enable()
     others, active = set(parts.objects), bpy.context.view_layer.objects.active
-    objects = fire.build(here, parts)
+    objects = fire.build(placed_spec, parts)
     bpy.context.view_layer.objects.active = active
     objects.domain_settings.cache_type = "REPLAY"
     for object_ in set(parts.objects) - others:

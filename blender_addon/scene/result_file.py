@@ -44,15 +44,15 @@ def find(object_: bpy.types.Object, chosen: str = "") -> Path:
     if FILE not in object_:
         raise DataFormatError(f"{object_.name}: not imported from a file; import the reconstruction again")
     places = [Path(bpy.path.abspath(chosen)).absolute()] if chosen else _places(object_)
-    there = [path for path in places if path.exists()]
-    if not there:
+    existing = [path for path in places if path.exists()]
+    if not existing:
         where = places[0] if chosen else f"{Path(object_[FILE]).name}, which {object_.name} was imported from"
         raise DataFormatError(f"{where}: no such file here; choose it as Result in the panel Score")
-    for path in there:
+    for path in existing:
         if SUM not in object_ or _sum(clouds.files_of(path)) == object_[SUM]:
             return path
     raise DataFormatError(
-        f"{there[0]}: has changed since {object_.name} was imported, or is another file; import it again, or choose "
+        f"{existing[0]}: has changed since {object_.name} was imported, or is another file; import it again, or choose "
         "the right one as Result"
     )
 

@@ -44,9 +44,9 @@ def scenes_with_clouds() -> set[bpy.types.Scene]:
     todo = [tree for tree in bpy.data.node_groups if "gof_layout" in tree]
     seen, users = set(todo), bpy.data.user_map() if todo else {}
     while todo:
-        here = todo.pop()
-        if not isinstance(here, bpy.types.Scene):
-            above = users.get(here, set()) - seen
+        user = todo.pop()
+        if not isinstance(user, bpy.types.Scene):
+            above = users.get(user, set()) - seen
             seen |= above
             todo += above
     return {scene for scene in seen if isinstance(scene, bpy.types.Scene)}

@@ -52,7 +52,7 @@ def export_velocity(
             that was clipped to the smoke, or NaN in the cache.
         DataFormatError: `out_path` holds something else.
     """
-    _check_export(domain_object, frames, fps, time_scale)
+    _require_exportable(domain_object, frames, fps, time_scale)
     _go_to(frames[0], domain_object)
     matrix = index_to_world(domain_object)
     linear = matrix[:3, :3]
@@ -83,7 +83,7 @@ def export_velocity(
     return store.finish()
 
 
-def _check_export(domain_object: bpy.types.Object, frames: list[int], fps: float, time_scale: float) -> None:
+def _require_exportable(domain_object: bpy.types.Object, frames: list[int], fps: float, time_scale: float) -> None:
     settings = _domain_settings(domain_object)
     if settings.use_adaptive_domain:
         raise ValueError(

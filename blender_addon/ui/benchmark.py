@@ -358,14 +358,14 @@ def _draw_cost(box, context, spec: SceneSpec, layout: Layout | None) -> None:
     column = box.column(align=True)
     length_s = frames / spec.clip.fps
     done = layout.pictures() if layout else 0
-    there = f", {done} made" if done else ""
+    made = f", {done} made" if done else ""
     along_rows, rows = spec.picture_px
     width, height = (rows, along_rows) if spec.cameras.portrait else (along_rows, rows)
     cell_mm = 1000 * max(spec.box.size) / spec.box.resolution
     write_lines(
         column,
         context,
-        f"{len(spec.pictures)} pictures ({frames} x {cameras}){there}, of {width} x {height} pixels; {frames} frames "
+        f"{len(spec.pictures)} pictures ({frames} x {cameras}){made}, of {width} x {height} pixels; {frames} frames "
         f"at {spec.clip.fps:g} per s are {length_s:.3g} s; {spec.box.resolution} cells of {cell_mm:.3g} mm",
         "CAMERA_DATA",
     )

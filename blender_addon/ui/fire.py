@@ -221,10 +221,10 @@ class GOF_OT_add_fire(_SpecOperator, bpy.types.Operator):
         scene = context.scene
         spot = scene.cursor.location.copy()
         if scene.gof.fire.spot == "OBJECT":
-            object_, there = context.active_object, place.find(scene, place.PLACE)
-            if object_ is None or (place.part_of(object_) and there is None):
+            object_, marker = context.active_object, place.find(scene, place.PLACE)
+            if object_ is None or (place.part_of(object_) and marker is None):
                 raise SpecError("there is no active object to burn: click one, or choose At the Cursor")
-            spot = there.location.copy() if place.part_of(object_) else place.on_top_of(object_)  # itself: it stays
+            spot = marker.location.copy() if place.part_of(object_) else place.on_top_of(object_)  # itself: it stays
         cost_model.require_memory(spec)  # Blender itself ends where a simulation does not fit
         place.add_fire(spec, scene, place.mark(scene, spot))
         self.report({"INFO"}, "Play the animation to see it burn, or make a benchmark of it")
@@ -287,8 +287,8 @@ class GOF_PT_fire(SidebarPanel, bpy.types.Panel):
         for name in ("resolution", "seed"):
             number(column, fire, name)
         layout.prop(fire, "spot")
-        there = place.find(context.scene, place.DOMAIN)
-        layout.operator(GOF_OT_add_fire.bl_idname, text="Replace Fire" if there else "Add Fire", icon="MOD_FLUIDSIM")
+        domain = place.find(context.scene, place.DOMAIN)
+        layout.operator(GOF_OT_add_fire.bl_idname, text="Replace Fire" if domain else "Add Fire", icon="MOD_FLUIDSIM")
 
 
 class GOF_PT_effects(SidebarPanel, bpy.types.Panel):
@@ -319,9 +319,9 @@ class GOF_PT_cameras(SidebarPanel, bpy.types.Panel):
         vector(column, cameras, "sensor_px")
         column.prop(cameras, "roll_deg")
         column = layout.column(align=True)
-        there = bool(place.cameras(context.scene))
+        has_cameras = bool(place.cameras(context.scene))
         column.operator(
-            GOF_OT_add_cameras.bl_idname, text="Replace Cameras" if there else "Add Cameras", icon="CAMERA_DATA"
+            GOF_OT_add_cameras.bl_idname, text="Replace Cameras" if has_cameras else "Add Cameras", icon="CAMERA_DATA"
         )
         column.operator(GOF_OT_next_view.bl_idname, icon="HIDE_OFF")
         row = layout.row(align=True)

@@ -141,9 +141,9 @@ def _rig(planned: Rig, cameras: list[bpy.types.Object], poses: list[Matrix]) -> 
         )
     planned = replace(planned, focal_mm=lenses.pop())
     difference = [
-        (here.to_translation() - there.to_translation()).length / SAME_M
-        + here.to_quaternion().rotation_difference(there.to_quaternion()).angle / (100 * SAME_TURN)
-        for here, there in zip(poses, rig.poses(planned), strict=True)
+        (own.to_translation() - planned_pose.to_translation()).length / SAME_M
+        + own.to_quaternion().rotation_difference(planned_pose.to_quaternion()).angle / (100 * SAME_TURN)
+        for own, planned_pose in zip(poses, rig.poses(planned), strict=True)
     ]
     if max(difference) < 1:
         return planned

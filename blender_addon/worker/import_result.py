@@ -161,11 +161,11 @@ def render_preview(path: Path, samples: int) -> None:
 def run(args: argparse.Namespace) -> None:
     """Check everything that can be wrong, then build, save and render. Raises DataFormatError that names the remedy."""
     outputs = [path for path in (args.blend, args.preview) if path is not None]
-    _check_outputs(outputs, args.overwrite)
-    _check_mode(args.mode)
+    _require_no_outputs(outputs, args.overwrite)
+    _require_mode(args.mode)
     cloud = clouds.load(args.result)
     scene = read_scene(args.dataset, cloud.datum or Datum())
-    _check_view(args, scene)
+    _require_view(args, scene)
     for path in outputs:
         path.parent.mkdir(parents=True, exist_ok=True)
     progress = Reporter("import", args.blend.with_suffix(".log"))
@@ -181,13 +181,13 @@ def run(args: argparse.Namespace) -> None:
     print(f"{object_.name}: {len(cloud)} Gaussians, {args.mode}")
 
 
-def _check_outputs(outputs: list[Path], overwrite: bool) -> None:
+def _require_no_outputs(outputs: list[Path], overwrite: bool) -> None:
     existing = [path for path in outputs if path.exists()]
     if existing and not overwrite:
         raise DataFormatError(f"{existing[0]}: exists already; delete it or pass --overwrite")
 
 
-def _check_mode(mode: str) -> None:
+def _require_mode(mode: str) -> None:
     import bpy
 
     from ..scene import gaussian_nodes
@@ -196,7 +196,7 @@ def _check_mode(mode: str) -> None:
         raise DataFormatError(f"--mode {mode}: Blender {bpy.app.version_string} has no Gaussian splats; 5.3 has")
 
 
-def _check_view(args: argparse.Namespace, scene: GeneratedScene | CapturedScene) -> None:
+def _require_view(args: argparse.Namespace, scene: GeneratedScene | CapturedScene) -> None:
     last, names = scene.frames - 1, scene.cameras
     if not 0 <= args.frame <= last:
         raise DataFormatError(f"--frame {args.frame}: the dataset {args.dataset} has frames 0 to {last}")

@@ -126,13 +126,13 @@ def _cheapest_shifts(error, repeated, drop_cost, interval, period, counted, star
         cost += 0.5 * np.minimum(np.abs(miss) / interval, 1)
     size = 0.01 * shifts  # of drops that explain as much, the smallest
     best = -size if start is None else np.where(shifts == start, -size, np.inf)
-    here = np.arange(len(shifts))
-    came_from = np.tile(here, (len(error), 1))
+    indices = np.arange(len(shifts))
+    came_from = np.tile(indices, (len(error), 1))
     for k in range(len(error)):
         if not repeated[k] and (k or start is not None):
             lowest = np.minimum.accumulate(best)
             moves = lowest + drop_cost[k] < best
-            came_from[k, moves] = np.maximum.accumulate(np.where(best == lowest, here, 0))[moves]
+            came_from[k, moves] = np.maximum.accumulate(np.where(best == lowest, indices, 0))[moves]
             best = np.where(moves, lowest + drop_cost[k], best)
         best = best + cost[k]
     path = np.empty(len(error), int)

@@ -69,8 +69,8 @@ class Offset:
     @property
     def error_frames(self) -> float:
         """Standard deviation of the lag: noise moves a peak by its ratio to the signal."""
-        told = min(max(self.agreement, 1e-3), 1.0)
-        return float(np.hypot(UNTOLD, BY_NOISE * np.sqrt(1 - told**2) / told))
+        agreement = min(max(self.agreement, 1e-3), 1.0)
+        return float(np.hypot(UNTOLD, BY_NOISE * np.sqrt(1 - agreement**2) / agreement))
 
 
 def read_light(video: Path) -> FlameLight:

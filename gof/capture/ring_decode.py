@@ -335,12 +335,12 @@ def _own_times(ring: _Ring, arc: _Arc, time: np.ndarray) -> tuple[np.ndarray, np
     for _ in range(3):
         slope = np.where(ring.usable, arc.slope(off + shift[:, None]), 0)
         miss = np.where(ring.usable, ring.light - arc.light(off + shift[:, None]), 0)
-        told = (slope**2).sum(1)
-        shift = np.clip(shift + (slope * miss).sum(1) / np.maximum(told, 0.05), -REACH, REACH)
+        information = (slope**2).sum(1)
+        shift = np.clip(shift + (slope * miss).sum(1) / np.maximum(information, 0.05), -REACH, REACH)
     noise = np.sqrt(np.where(ring.usable, miss**2, 0).sum(1) / np.maximum(ring.usable.sum(1), 1)) + 1e-3
     # An exposure within one LED's step tells only that it is.
     vague = low.sum(1) * (shifts[1] - shifts[0]) / np.sqrt(12)
-    sigma = np.where(told > 0.05, noise / np.sqrt(np.maximum(told, 0.05)), vague)
+    sigma = np.where(information > 0.05, noise / np.sqrt(np.maximum(information, 0.05)), vague)
     return time + ring.step_us * shift, ring.step_us * sigma
 
 

@@ -24,7 +24,8 @@ from gof.core.errors import GofError
 from gof.core.records import write_record
 from gof.footage.videos import distinct_names, require_different
 from gof.host.options import require_all_positive, require_number, require_positive
-from gof.look.charts import Chart, frame_times_chart
+from gof.look.charts import frame_times_chart
+from gof.look.drawing import Chart
 from gof.look.sync_report import write_report
 
 NO_MARKER = (

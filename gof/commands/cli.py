@@ -164,13 +164,13 @@ def _main(argv: list[str]) -> int:
         if hasattr(stream, "reconfigure"):
             stream.reconfigure(errors="backslashreplace")  # a terminal that cannot show a letter ends no run
     try:
-        here = os.getcwd()
+        folder = os.getcwd()
     except OSError:
         if argv and not {"-h", "--help", "--help-all", "help", "--version"} & set(argv):
             print("gof: the current folder has been deleted; cd to one that exists", file=sys.stderr)
             return 1
-        here = ""
-    odd = next((word for word in (*argv, here) if not word.isascii() and _is_not_utf8(word)), None)
+        folder = ""
+    odd = next((word for word in (*argv, folder) if not word.isascii() and _is_not_utf8(word)), None)
     if odd is not None:
         print(
             f"gof: {printable(odd)!r} is not UTF-8; rename that file or folder, or set LC_ALL=C.UTF-8", file=sys.stderr

@@ -17,8 +17,8 @@ from gof.dataset.leaks import print_of_others
 from gof.evaluate.leaderboard import collect
 from gof.host.options import require_number
 from gof.host.terminal import console
-from gof.look.charts import require_figure
 from gof.look.comparison import KINDS, Kind, Moment, comparison, scored_subject, subject
+from gof.look.drawing import require_figure
 from gof.look.panels import Subject
 from gof.look.paper import WIDTH_IN, write_sheet
 from gof.look.player.opened import dataset_beside, newest, open_moving

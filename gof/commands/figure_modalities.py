@@ -16,7 +16,7 @@ from gof.core.errors import GofError
 from gof.dataset import Dataset
 from gof.host.options import require_number
 from gof.host.terminal import console, progress_bar
-from gof.look.charts import require_figure
+from gof.look.drawing import require_figure
 from gof.look.modalities import Sources, modalities, training_frame
 from gof.look.paper import WIDTH_IN, write_sheet
 from gof.look.player.opened import dataset_beside

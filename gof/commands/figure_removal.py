@@ -15,8 +15,8 @@ from gof.dataset import Dataset
 from gof.dataset.plates import has_own_plate
 from gof.host.options import require_number
 from gof.host.terminal import console
-from gof.look.charts import require_figure
 from gof.look.comparison import Moment, fire_removal
+from gof.look.drawing import require_figure
 from gof.look.paper import WIDTH_IN, write_sheet
 from gof.look.player.opened import require_result
 from gof.look.tiles import facts

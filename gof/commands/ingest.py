@@ -23,8 +23,9 @@ from gof.core.errors import GofError
 from gof.dataset import Dataset
 from gof.dataset.poses import UpReport
 from gof.footage.containers import focal_35mm
+from gof.footage.folders import has_pictures, videos_of_take
 from gof.footage.lens import Turn
-from gof.footage.videos import has_pictures, require_different, stated_fps, videos_of_take
+from gof.footage.videos import require_different, stated_fps
 from gof.host.options import require_all_positive, require_number, require_positive
 from gof.ingest.accelerometer import read_tilt
 from gof.ingest.fire_free import PlateKind, PlateOptions
@@ -163,12 +164,9 @@ def read_times(words: tuple[str, ...]) -> tuple[Path | None, tuple[float, ...], 
 def ingest(config: IngestConfig) -> Ingested:
     """Make the dataset. Raises GofError as `make_dataset`, or for a number that is none."""
     require_number("--fov", config.fov, above=0, most=MOST_FOV_DEG)
-    for flag, value in (
-        ("--marker-mm", config.marker_mm),
-        ("--baseline-m", config.baseline_m),
-        ("--flame-height-m", config.flame_height_m),
-    ):
-        require_positive(flag, value)
+    require_positive("--marker-mm", config.marker_mm)
+    require_positive("--baseline-m", config.baseline_m)
+    require_positive("--flame-height-m", config.flame_height_m)
     require_number("--max-size", config.max_size, least=16)
     require_number("--frames", config.frames, least=1)
     for start in config.start:
@@ -206,7 +204,7 @@ def ingest(config: IngestConfig) -> Ingested:
         pose_options,
         plate,
         max_size=config.max_size,
-        others=tuple(other_clip(footage, folder) for folder in config.with_clip),
+        others=tuple(footage.other(clip_videos(footage.videos, folder)) for folder in config.with_clip),
         overwrite=may_overwrite(),
     )
 
@@ -266,7 +264,9 @@ def require_what_no_file_says(config: IngestConfig, argv: list[str]) -> None:
             "with 'sync' (by board, sound or flame), or with 'stamps' (the files' own time stamps, as phones write "
             "them)"
         )
-        more += ["--times", f"{_stated_rate(config.videos[0]):.6g}"]
+        require_different(config.videos[:1])
+        rate = stated_fps(config.videos[0]) or 30.0  # the file's, which may be that of playback
+        more += ["--times", f"{rate:.6g}"]
     stated = [focal_35mm(video) if video.is_file() else None for video in config.videos]
     if config.cameras is None and config.fov is None and not is_findable(stated):
         missing.append(
@@ -278,17 +278,6 @@ def require_what_no_file_says(config: IngestConfig, argv: list[str]) -> None:
     if missing:
         command = shlex.join(["gof", "ingest", *argv, *more])
         raise GofError(f"no file says {'; nor '.join(missing)}{hint}. With your own numbers: {command}")
-
-
-def _stated_rate(video: Path) -> float:
-    """Return frames per second by the file, which may be those of playback; 30 where it says none."""
-    require_different([video])
-    return stated_fps(video) or 30.0
-
-
-def other_clip(footage: Footage, folder: Path) -> Footage:
-    """Another clip by the same cameras. Raises GofError: as `clip_videos`."""
-    return footage.other(clip_videos(footage.videos, folder))
 
 
 def clip_videos(own: Sequence[Path], folder: Path) -> list[Path]:

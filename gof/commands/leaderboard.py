@@ -28,8 +28,9 @@ from gof.evaluate.leaderboard import (
 from gof.host.options import require_number
 from gof.host.terminal import console
 from gof.look.boards import leaderboard_html, stream_plots
-from gof.look.charts import Kind, accuracy_charts, require_figure
+from gof.look.charts import accuracy_charts
 from gof.look.comparison import Moment
+from gof.look.drawing import Kind, require_figure
 from gof.look.pages import side_by_side
 
 SHOWN = (

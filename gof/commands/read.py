@@ -93,8 +93,8 @@ def _require_places(config: type, found: object) -> None:
 def _with_value(argv: list[str], option: str, word: str) -> list[str]:
     """Return the arguments, where an option that stands alone has the value that it means then."""
     found = []
-    for here, after in itertools.zip_longest(argv, argv[1:], fillvalue="--"):
-        found += [here, word] if here == option and after.startswith("--") else [here]
+    for argument, after in itertools.zip_longest(argv, argv[1:], fillvalue="--"):
+        found += [argument, word] if argument == option and after.startswith("--") else [argument]
     return found
 
 

@@ -20,8 +20,9 @@ from gof.evaluate.leaderboard import EvaluatedResult, about
 from gof.evaluate.scores import Scores
 from gof.host.terminal import progress_bar
 from gof.look.animation import brightest_frame
-from gof.look.charts import Kind, frame_chart, require_figure
+from gof.look.charts import frame_chart
 from gof.look.comparison import fire_removal
+from gof.look.drawing import Kind, require_figure
 from gof.look.pages import page_pictures
 from gof.look.player.opened import newest
 from gof.look.report import Preview, build_report

@@ -51,7 +51,7 @@ def read_colmap(folder: Path) -> tuple[Poses, np.ndarray]:
     folder = _largest(_models_in(Path(folder)))
     poses, points = _poses_of(folder), _read(folder, "points3D", _binary_points, _text_points)
     cloud = np.array(points, np.float64).reshape(-1, 3)
-    check_poses(poses, folder)
+    require_rigid_poses(poses, folder)
     if not np.isfinite(cloud).all():
         raise DataFormatError(f"{folder}: points of the COLMAP model are NaN or Inf")
     return poses, cloud
@@ -64,7 +64,7 @@ def read_cameras(folder: Path) -> list[tuple[Image, ColmapCamera]]:
         DataFormatError: as `read_colmap`, a lens with distortion, or an image whose lens is not there.
     """
     images, found = _images_of(folder), _read(folder, "cameras", _binary_lenses, _text_lenses)
-    check_poses({image.name: image.pose for image in images}, folder)
+    require_rigid_poses({image.name: image.pose for image in images}, folder)
     lenses = dict(found)
     if len(lenses) < len(found):
         raise DataFormatError(f"{folder}: two cameras of the COLMAP model have the same number")
@@ -288,7 +288,7 @@ def _pose(values: tuple[float, ...]) -> np.ndarray:
     return matrix
 
 
-def check_poses(poses: Poses, path: Path) -> None:
+def require_rigid_poses(poses: Poses, path: Path) -> None:
     """Raise DataFormatError: one of the matrices is not a rotation and a shift (names it)."""
     for name, pose in poses.items():
         R = pose[:3, :3]

@@ -175,10 +175,10 @@ class GridSequence:
         if layout != "cell_centred" or (quantity == "velocity" and self.units != "m/s"):
             expected = "'m/s', 'cell_centred'" if quantity == "velocity" else "'cell_centred'"
             raise DataFormatError(f"{path}: units '{self.units}', layout '{layout}'; expected {expected}")
-        self._check_shape(components)
+        self._require_shape(components)
         self.dark = self._require_chunks()
 
-    def _check_shape(self, components: tuple[int, ...] | None) -> None:
+    def _require_shape(self, components: tuple[int, ...] | None) -> None:
         shape, path = self._array.shape, self.path
         known = [(), (3,)] if components is None else [components]
         if len(shape) < 4 or shape[4:] not in known or 0 in shape or self.times_s.shape != shape[:1]:

@@ -386,6 +386,6 @@ def _not_finite(value: Any) -> str | None:
     parts: Iterable[tuple[Any, Any]] = enumerate(value) if isinstance(value, list) else ()
     for key, part in value.items() if isinstance(value, dict) else parts:
         if (inner := _not_finite(part)) is not None:
-            here = f"[{key}]" if isinstance(value, list) else key[:80]
-            return here + ("." if inner and not inner.startswith("[") else "") + inner
+            place = f"[{key}]" if isinstance(value, list) else key[:80]
+            return place + ("." if inner and not inner.startswith("[") else "") + inner
     return None

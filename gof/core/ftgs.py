@@ -48,7 +48,9 @@ def read(ply: Ply) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
             f"{ply.path}: ftgs_version {words.get('ftgs_version')}, time_units {words.get('time_units')}; expected "
             "1, normalized"
         )
-    refuse_variants({name: MEANT.get(words[name].lower(), words[name]) for name in VANILLA if name in words}, ply.path)
+    require_no_variants(
+        {name: MEANT.get(words[name].lower(), words[name]) for name in VANILLA if name in words}, ply.path
+    )
     try:
         facts: dict[str, Any] = {"use_velocity": SWITCH[words["use_velocity"].lower()]}
         facts["min_duration"] = float(words["min_duration"])
@@ -106,7 +108,7 @@ def moving(values: dict[str, np.ndarray], facts: dict[str, Any], start_s: float,
     )
 
 
-def refuse_variants(settings: dict, path: Path) -> None:
+def require_no_variants(settings: dict, path: Path) -> None:
     """Raise DataFormatError: one of the settings that VANILLA lists is another one, so fields mean other things."""
     for name, value in settings.items():
         if value != VANILLA[name] and (value or VANILLA[name]):

@@ -62,7 +62,7 @@ class GridWriter:
         self.grid = tuple(int(n) for n in grid)
         self.dtype = np.dtype(dtype).newbyteorder("<")
         self._components = (3,) if content is VELOCITY else ()
-        self._check_arguments(index_to_world, time_s, voxel_size)
+        self._require_arguments(index_to_world, time_s, voxel_size)
         attributes = content | {
             "index_to_world": np.asarray(index_to_world, float).tolist(),
             "voxel_size": float(voxel_size),
@@ -103,8 +103,8 @@ class GridWriter:
             if stored.any():
                 empty = False
                 number = (frame, *index, *(0 for _ in self._components))
-                here = (slice(0, 1), *(slice(0, n) for n in stored.shape[:3]))
-                write_bytes(array.file_of(number), array.packed(here, stored[None]))
+                filled = (slice(0, 1), *(slice(0, n) for n in stored.shape[:3]))
+                write_bytes(array.file_of(number), array.packed(filled, stored[None]))
         if empty:
             array.mark(frame)
         write_json(self._marker(frame), {"max_abs_error": largest_error})
@@ -131,7 +131,7 @@ class GridWriter:
             self.finished = True
         return _read_description(self.path)["attributes"]
 
-    def _check_arguments(self, index_to_world: np.ndarray, time_s: np.ndarray, voxel_size: float) -> None:
+    def _require_arguments(self, index_to_world: np.ndarray, time_s: np.ndarray, voxel_size: float) -> None:
         if self.dtype.name not in ("float16", "float32"):
             raise ValueError(f"dtype {self.dtype.name!r}: choose 'float16' or 'float32'")
         if len(self.grid) != 3 or min(self.grid) < 1:

@@ -125,7 +125,7 @@ class Motion:
         before, after = np.clip([time_s - self.step_s / 2, time_s + self.step_s / 2], *self.covered_s)
         if not after > before:
             raise GofError(f"step_s {self.step_s:g} s is too short to tell two times apart at {time_s:g} s")
-        there, here = (np.asarray(self.function(float(t)).position, np.float64) for t in (after, before))
-        if there.shape != here.shape:
-            raise DataFormatError(f"the function gives {len(here)} and {len(there)} Gaussians around {time_s:g} s")
-        return (there - here) / (after - before)
+        later, earlier = (np.asarray(self.function(float(t)).position, np.float64) for t in (after, before))
+        if later.shape != earlier.shape:
+            raise DataFormatError(f"the function gives {len(earlier)} and {len(later)} Gaussians around {time_s:g} s")
+        return (later - earlier) / (after - before)

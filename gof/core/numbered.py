@@ -58,7 +58,7 @@ def number_files(paths: Iterable[Path]) -> list[tuple[int, Path]]:
         )
     numbered = sorted(known.items())
     if any(re.search(r"[0-9]\.#", name) for name in names):
-        _refuse_decimals(numbered, lengths)
+        _require_whole_numbers(numbered, lengths)
     return numbered
 
 
@@ -96,7 +96,7 @@ def usual_step(numbers: list[int]) -> int:
     return math.gcd(*(b - a for a, b in itertools.pairwise(numbers))) or 1
 
 
-def _refuse_decimals(found: list[tuple[int, Path]], lengths: set[int]) -> None:
+def _require_whole_numbers(found: list[tuple[int, Path]], lengths: set[int]) -> None:
     """Raise DataFormatError: digits behind a digit and a point that do not count up by one, as 0.25 and 0.5."""
     if len(lengths) > 1 or found[-1][0] - found[0][0] != len(found) - 1:
         raise DataFormatError(

@@ -59,10 +59,10 @@ class Ply:
         """
         sizes, opacity = self.columns("scale_0", "scale_1", "scale_2"), self.columns("opacity")[:, 0]
         if not any(comment.startswith(OURS) for comment in self.comments):
-            refuse_activated(sizes, opacity, self.path)
+            require_raw(sizes, opacity, self.path)
         return self.without_scale() | {"scale": activate_scale(sizes, self.path)}
 
-    def refuse_unread(self, *known: str) -> None:
+    def require_read(self, *known: str) -> None:
         """Raise DataFormatError: there are properties beside those of 3DGS and `known` ones, which no reader knows.
 
         Some change what the others mean; one may be a misspelt name.
@@ -132,7 +132,7 @@ def activate_scale(raw: np.ndarray, path: Path) -> np.ndarray:
     return exp(raw)
 
 
-def refuse_activated(scale: np.ndarray, opacity: np.ndarray, path: Path) -> None:
+def require_raw(scale: np.ndarray, opacity: np.ndarray, path: Path) -> None:
     """Raise DataFormatError: raw sizes and opacities look like values, where PLYs hold logarithms and logits.
 
     All opacities in 0..1 and all sizes above 0 would be Gaussians of more than a metre, all half transparent; so many

@@ -116,7 +116,7 @@ def _vertex_header(file: IO[bytes], path: Path) -> tuple[Header, Element]:
     vertex = next((e for e in header.elements if e.name == "vertex"), None)
     if vertex is None:
         raise DataFormatError(f"{path}: not a PLY file with a 'vertex' element")
-    _check_size(header, os.fstat(file.fileno()).st_size, path)
+    _require_size(header, os.fstat(file.fileno()).st_size, path)
     return header, vertex
 
 
@@ -182,7 +182,7 @@ def _add(header: Header, new: Property) -> None:
     properties.append(new)
 
 
-def _check_size(header: Header, size: int, path: Path) -> None:
+def _require_size(header: Header, size: int, path: Path) -> None:
     """Refuse a header that announces more than the file can hold, before anything is allocated."""
     needed = 0
     for e in header.elements:

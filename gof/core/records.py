@@ -121,8 +121,8 @@ def other_settings(path: Path, record: Record, made: Path, called: Callable[[str
     changed = [called(name) for name, value in asdict(record).items() if value != before[name]]
     if not changed:
         return None
-    there = f"{made.name} there is made" if made.exists() else "a run that was stopped there was begun"
-    return f"{path.parent}: {there} with other settings ({', '.join(sorted(changed))} differ)"
+    begun = f"{made.name} there is made" if made.exists() else "a run that was stopped there was begun"
+    return f"{path.parent}: {begun} with other settings ({', '.join(sorted(changed))} differ)"
 
 
 def _is_of(kind: type[Record], path: Path) -> bool:

@@ -185,7 +185,7 @@ def of_ply(ply: Ply) -> tuple[Arrays, Whole]:
             f"{path}: PLY properties {missing} are missing; a plain 3DGS PLY has no time or velocity and cannot be "
             "read as transient Gaussians"
         )
-    ply.refuse_unread(*PROPERTIES, "v_sd", *_GAS)
+    ply.require_read(*PROPERTIES, "v_sd", *_GAS)
     if any(map(ply.has, _GAS)) and not ply.has(*_GAS):
         raise DataFormatError(f"{path}: of the PLY properties {list(_GAS)} some are missing; export the file again")
     splats = ply.splats()

@@ -182,11 +182,11 @@ class TimeLeft:
     @property
     def seconds(self) -> float | None:
         """Seconds left on the clock; None where nothing says it yet."""
-        here = self.left_here
-        if here is None:
+        own_s = self.left_here
+        if own_s is None:
             return None
         later = [name for name in self.expected_s if name != self._part and name not in self.took_s]
-        return here + self.slowness * sum(self.expected_s[name] for name in later)
+        return own_s + self.slowness * sum(self.expected_s[name] for name in later)
 
     @property
     def left_here(self) -> float | None:

@@ -123,8 +123,8 @@ class ZarrArray:
             out[...] = self.fill_value
 
         def put(number: tuple[int, ...]) -> None:
-            here, there = self._overlap(number, low, high)
-            out[there] = self._chunk(number)[here]
+            in_chunk, in_box = self._overlap(number, low, high)
+            out[in_box] = self._chunk(number)[in_chunk]
 
         numbers = [number for number in self._numbers(low, high) if self.is_stored(number)]
         if len(numbers) == 1:
@@ -147,10 +147,10 @@ class ZarrArray:
             raise ValueError(f"{values.shape[1:]} is not a frame of {self.shape} in chunks of {self.chunks}")
         empty = True
         for number in self._numbers(low, high):
-            here, there = self._overlap(number, low, high)
+            in_chunk, in_box = self._overlap(number, low, high)
             with np.errstate(over="ignore"):
-                part = values[there].astype(self.dtype)
-            if (np.isfinite(values[there]) & ~np.isfinite(part)).any():
+                part = values[in_box].astype(self.dtype)
+            if (np.isfinite(values[in_box]) & ~np.isfinite(part)).any():
                 raise DataFormatError(
                     f"{self.path}: frame {frame}: {np.abs(values).max():.3g} is beyond what {self.dtype.name} holds; "
                     "store float32"
@@ -158,14 +158,14 @@ class ZarrArray:
             if part.any():
                 empty = False
                 self.file_of(number).parent.mkdir(parents=True, exist_ok=True)
-                self.file_of(number).write_bytes(self.packed(here, part))
+                self.file_of(number).write_bytes(self.packed(in_chunk, part))
         if empty:
             self.mark(frame)
 
-    def packed(self, here: tuple[slice, ...], part: np.ndarray) -> bytes:
-        """Return the bytes of a chunk's file that is zero but for the part `here`."""
+    def packed(self, filled: tuple[slice, ...], part: np.ndarray) -> bytes:
+        """Return the bytes of a chunk's file that is zero but for the part `filled`."""
         whole = np.zeros(self.chunks, self.dtype)  # those at the upper border are of full size too
-        whole[here] = part
+        whole[filled] = part
         return gzip.compress(whole.tobytes(), self.level, mtime=0)
 
     # ---------------------------------------------------------------- chunks
@@ -189,12 +189,12 @@ class ZarrArray:
 
     def _overlap(self, number: tuple[int, ...], low: list[int], high: list[int]) -> tuple[tuple, tuple]:
         """Return the part of a chunk in a box: slices of the chunk, and of the box."""
-        here, there = [], []
+        in_chunk, in_box = [], []
         for n, c, l, h in zip(number, self.chunks, low, high, strict=True):
             first, last = max(n * c, l), min((n + 1) * c, h)
-            here.append(slice(first - n * c, last - n * c))
-            there.append(slice(first - l, last - l))
-        return tuple(here), tuple(there)
+            in_chunk.append(slice(first - n * c, last - n * c))
+            in_box.append(slice(first - l, last - l))
+        return tuple(in_chunk), tuple(in_box)
 
     def file_of(self, number: tuple[int, ...]) -> Path:
         """Return where a chunk is stored, if it is."""

@@ -83,7 +83,7 @@ def leaks(files: Mapping[str, Iterable[int]], held_out: Iterable[int]) -> dict[s
     return {name: sorted(held & set(frames)) for name, frames in files.items() if held & set(frames)}
 
 
-def refuse_leaks(dataset: Dataset) -> None:
+def require_no_leaks(dataset: Dataset) -> None:
     """Make sure that a method may learn from a dataset's plates, depth and poses.
 
     Raises:
@@ -103,7 +103,7 @@ def refuse_leaks(dataset: Dataset) -> None:
         )
 
 
-def refuse_leaked_work(folder: Path, dataset: Dataset) -> None:
+def require_unleaked_work(folder: Path, dataset: Dataset) -> None:
     """Make sure that a reconstruction's folder was not begun with frames that the dataset holds out now.
 
     Raises:

@@ -104,11 +104,11 @@ def rmse_disparity(drawn: np.ndarray, expected: np.ndarray, flame: np.ndarray) -
     counts = inside(flame)
     if not counts.any() or not expected.max() > 0:
         return None
-    there = drawn > 0
+    lit = drawn > 0
     shape = np.zeros(drawn.shape)
-    if there.any():
-        low, high = drawn[there].min(), drawn[there].max()
-        shape[there] = (drawn[there] - low) / (high - low if high > low else 1.0)
+    if lit.any():
+        low, high = drawn[lit].min(), drawn[lit].max()
+        shape[lit] = (drawn[lit] - low) / (high - low if high > low else 1.0)
     target = expected / expected.max()
     system = np.stack([shape.ravel(), np.ones(shape.size)], 1)
     scale, offset = np.linalg.lstsq(system, target.ravel(), rcond=None)[0]

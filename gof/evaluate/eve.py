@@ -162,7 +162,7 @@ def score_eve(
     fields = fields_of(truth)
     places = ClipPlaces.draw(fields, flame, times_s) if places is None else places
     answers: dict[str, np.ndarray] = {}
-    there = np.zeros(places.light.shape)
+    weights = np.zeros(places.light.shape)
 
     def asked(k: int) -> tuple[np.ndarray, np.ndarray, dict[str, np.ndarray]]:
         time_s, rows = float(places.times_s[k]), np.flatnonzero(places.light[k])
@@ -172,11 +172,11 @@ def score_eve(
         return rows, visible.total(), {name: visible.mean_velocity(velocity) for name, velocity in velocities.items()}
 
     for k, (rows, total, means) in enumerate(map_on_cores(asked, range(len(places.times_s)), progress)):
-        there[k, rows] = total
+        weights[k, rows] = total
         for name, velocity in means.items():
             answers.setdefault(name, np.zeros_like(places.truth))[k, rows] = velocity
-    mean = (places.light * there).sum() / max(places.light.sum(), 1e-300)
-    empty = there <= EMPTY * mean
+    mean = (places.light * weights).sum() / max(places.light.sum(), 1e-300)
+    empty = weights <= EMPTY * mean
     for velocity in answers.values():
         velocity[empty] = 0
     return _result(places, answers, empty)

@@ -157,9 +157,9 @@ def ranks(means: Sequence[float], p_values: np.ndarray, better: int) -> list[tup
             paired differences).
         better: 1 where high values win, -1 where low ones do.
     """
-    told = apart(p_values)
+    differ = apart(p_values)
     ahead = better * np.subtract.outer(np.asarray(means, np.float64), means) > 0  # [i, j]: i is better than j
-    surely_ahead = told & ahead
+    surely_ahead = differ & ahead
     best, worst = 1 + surely_ahead.sum(0), len(means) - surely_ahead.sum(1)
     return list(zip(best.tolist(), worst.tolist(), strict=True))
 
@@ -169,13 +169,13 @@ def apart(p_values: np.ndarray) -> np.ndarray:
     1979)."""
     first, second = np.triu_indices(len(p_values), 1)
     order = np.argsort(p_values[first, second], kind="stable")
-    told = np.zeros(np.shape(p_values), bool)
+    differ = np.zeros(np.shape(p_values), bool)
     for place, pair in enumerate(order):
         i, j = first[pair], second[pair]
         if p_values[i, j] > (1 - CONFIDENCE) / (len(order) - place):
             break
-        told[i, j] = told[j, i] = True
-    return told
+        differ[i, j] = differ[j, i] = True
+    return differ
 
 
 # ---------------------------------------------------------------- weighted values

@@ -49,11 +49,7 @@ def dve_sequence(
         warnings.warn("dve_sequence(controls=) is now trivial_baselines=", DeprecationWarning, stacklevel=2)
         trivial_baselines = controls
     times = np.asarray(sequence.times_s if times_s is None else times_s, np.float64)
-    _require_common_clock(gaussians, times, include_static)
-    first, last = gaussians.covered_s  # frames that a method did not export cannot be scored
-    times = times[(times >= first - 1e-6) & (times <= last + 1e-6)]
-    if len(times) == 0:
-        raise GofError(f"no scored time lies within the trajectory's {first:g}..{last:g} s")
+    times = _keep_covered(gaussians, times, include_static)
     fields, frames = fields_of(sequence), list[Samples]()
 
     def probed() -> Iterator[Samples]:
@@ -95,6 +91,16 @@ def dve_sequence(
         fluctuation=fluctuation(frames, layer),
         probed=tuple(frames),
     )
+
+
+def _keep_covered(gaussians: MovingGaussians, times: np.ndarray, include_static: bool) -> np.ndarray:
+    """Return those of the times that the trajectory covers: frames that a method did not export cannot be scored."""
+    _require_common_clock(gaussians, times, include_static)
+    first, last = gaussians.covered_s
+    times = times[(times >= first - 1e-6) & (times <= last + 1e-6)]
+    if len(times) == 0:
+        raise GofError(f"no scored time lies within the trajectory's {first:g}..{last:g} s")
+    return times
 
 
 def _require_common_clock(gaussians: MovingGaussians, times: np.ndarray, include_static: bool) -> None:

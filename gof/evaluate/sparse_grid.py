@@ -74,10 +74,10 @@ class StoredField:
     def chunk(self, number: tuple[int, int, int]) -> np.ndarray | None:
         """As `VelocityField.chunk`; linear between stored frames."""
         stored = [(self.sequence.chunk(index, number), weight) for index, weight in self._parts]
-        there = [(cells, weight) for cells, weight in stored if cells is not None]
-        if len(self._parts) == 1 or not there:
-            return there[0][0] if there else None
-        return reduce(np.add, (np.float32(weight) * cells.astype(np.float32) for cells, weight in there))
+        known = [(cells, weight) for cells, weight in stored if cells is not None]
+        if len(self._parts) == 1 or not known:
+            return known[0][0] if known else None
+        return reduce(np.add, (np.float32(weight) * cells.astype(np.float32) for cells, weight in known))
 
     def sample(self, points: np.ndarray) -> np.ndarray:
         """As `VelocityField.sample`; reads the chunks around the points, POOL_BYTES of them at a time."""

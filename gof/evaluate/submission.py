@@ -26,13 +26,13 @@ from gof.dataset import Dataset
 from gof.dataset.leaks import FILE as MADE_FROM
 from gof.dataset.leaks import MadeFrom, leaks
 from gof.dataset.plates import background
+from gof.evaluate.alarms import beyond_sense, too_good
 from gof.evaluate.dve_frame import Opacity
 from gof.evaluate.image import psnr
 from gof.evaluate.intervals import over_frames
 from gof.evaluate.method import AboutMethod
 from gof.evaluate.scores import Scores
 from gof.evaluate.scoring import evaluate, known_frames
-from gof.evaluate.suite_board import beyond_sense, too_good
 from gof.evaluate.training_curve import FILE as CURVE
 from gof.evaluate.training_curve import TrainingCurve
 from gof.footage.pictures import read_picture, write_picture

@@ -6,19 +6,20 @@ on the same frames of the same scenes, difference by difference (`gof.evaluate.i
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, fields, is_dataclass, replace
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from functools import partial
 from itertools import combinations
-from typing import Any, ClassVar
+from typing import ClassVar
 
 import numpy as np
 
+from gof.evaluate.alarms import beyond_sense, too_good
 from gof.evaluate.eddy_time import EddyTime
 from gof.evaluate.intervals import Estimate, over_frames, over_runs, over_scenes, ranks
 from gof.evaluate.leaderboard import COLUMNS, EvaluatedResult
 from gof.evaluate.method import AboutMethod
-from gof.evaluate.scores import FIGURES, Agreement, Scores, TrivialScore, velocity_of
+from gof.evaluate.scores import Agreement, Scores, velocity_of
 from gof.evaluate.training_curve import TrainingCurve
 
 RANKED = ("eve_l2", "eve_cos", "psnr_flame", "ssim_flame")  # figures that every frame has
@@ -31,10 +32,6 @@ SHOWN = ("zero", "constant", "height_mean", "true_centre")
 WITHOUT_STRUCTURE = ("zero", "constant", "height_mean")  # fluctuation: L2 1, CosSim 0, by definition
 UNIFORM = ("zero", "constant")  # vorticity: L2 1, and no divergence
 POINTS = 40  # of a training's curve, at most
-TOO_GOOD = 0.05  # L2 of the velocities; no method from pictures has come near
-NEAR_MEAN = 1.2  # times the EVE L2 of the clip's true mean field; honest results have 1.4 to 4
-UNKNOWING = 0.95  # L2 of EVE's fluctuation from which on a result says next to nothing of what is unsteady
-LARGEST = 1e6  # of a figure: squares, sums and ratios of such numbers are numbers
 NOT_SHOWN = ("velocity_of", "flow_prior", "evaluate_s", "speed_ratio", "skill")
 
 VELOCITY = {
@@ -172,29 +169,6 @@ def board(
     return SuiteBoard(title, (*rows, *_trivial_rows(whose, scenes)), alone)
 
 
-def beyond_sense(scores: Scores) -> str:
-    """Return which figure of a result no flame has, as velocities of 1e200 m/s make; "" where there is none."""
-    figures = {name: getattr(scores, name) for name in ("dve", "trivial_baselines", "images", "published", *FIGURES)}
-    for name, number in _numbers(figures):
-        if not abs(number) <= LARGEST:  # NaN too
-            return f"{name} is {number:.3g}, beyond {LARGEST:g}: no flame is so far off"
-    return ""
-
-
-def _numbers(part: Any, name: str = "") -> Iterator[tuple[str, float]]:
-    """Yield every float in a tree of records, with the name that it has."""
-    if isinstance(part, float):
-        yield name, part
-    elif is_dataclass(part):
-        yield from _numbers({line.name: getattr(part, line.name) for line in fields(part)}, name)
-    elif isinstance(part, dict):
-        for key, value in part.items():
-            yield from _numbers(value, f"{name} {key}".strip())
-    elif isinstance(part, (tuple, list)):
-        for value in part:
-            yield from _numbers(value, name)
-
-
 # ---------------------------------------------------------------- one method
 
 
@@ -210,47 +184,27 @@ def ranked_in(scenes: Sequence[ScoredScene]) -> tuple[str, ...]:
 def _row(
     name: str, about: AboutMethod, scenes: Sequence[ScoredScene], competes: bool, places: dict[str, dict[str, Figure]]
 ) -> BoardRow:
-    here = [scene for scene in scenes if name in scene.runs]
-    figures = {key: _plain(column.value, name, here) for key, column in COLUMNS.items() if key not in NOT_SHOWN}
+    own_scenes = [scene for scene in scenes if name in scene.runs]
+    figures = {key: _plain(column.value, name, own_scenes) for key, column in COLUMNS.items() if key not in NOT_SHOWN}
     for key in (*RANKED, *PRINTED):
-        estimate, seed_sd = _estimate(key, name, here)
+        estimate, seed_sd = _estimate(key, name, own_scenes)
         if estimate is not None:
             figures[key] = placed(Figure(estimate.mean, estimate.half_width, seed_sd), places.get(key, {}).get(name))
     return BoardRow(
         name=name,
         what="; ".join(filter(None, (about.code, about.commit, about.licence, about.hardware))),
         competes=competes,
-        scenes=len(here),
-        runs=sum(len(scene.runs[name]) for scene in here),
+        scenes=len(own_scenes),
+        runs=sum(len(scene.runs[name]) for scene in own_scenes),
         given=about.given,
         prior=about.prior,
         figures={key: figure for key, figure in figures.items() if figure is not None},
-        over_plates=_over_plates([run.scores for scene in here for run in scene.runs[name]]),
+        over_plates=_over_plates([run.scores for scene in own_scenes for run in scene.runs[name]]),
         alarm=next(
-            (f"{s.name}: {reason}" for s in here for run in s.runs[name] if (reason := too_good(run.scores))), ""
+            (f"{s.name}: {reason}" for s in own_scenes for run in s.runs[name] if (reason := too_good(run.scores))), ""
         ),
-        velocity=velocity_of([run.scores for scene in here for run in scene.runs[name]]) or "",
+        velocity=velocity_of([run.scores for scene in own_scenes for run in scene.runs[name]]) or "",
     )
-
-
-def too_good(scores: Scores) -> str:
-    """Why the velocities of a result look like the truth itself; "" where they do not."""
-    if scores.dve is None:
-        return ""
-    eve = scores.dve.eve
-    sides: list[tuple[str, float | None, TrivialScore | Agreement | None]]
-    sides = [("DVE L2", scores.dve.l2, scores.trivial_baselines.get("true_centre"))]
-    sides += [] if eve is None else [("EVE L2", eve.l2, eve.baselines.get("true_centre"))]
-    for name, own, bound in sides:
-        if own is not None and own < TOO_GOOD:
-            return f"{name} is {own:.4f}: is it the truth itself?"
-        if own is not None and bound is not None and bound.l2 is not None and own < bound.l2:
-            return f"{name} {own:.4f} is below {bound.l2:.4f}, what the truth at each centre scores: was it used?"
-    if eve is not None and "mean_field" in eve.baselines:
-        own, mean, unsteady = eve.l2, eve.baselines["mean_field"].l2, eve.fluctuation.l2
-        if own and mean and unsteady and own < NEAR_MEAN * mean and unsteady > UNKNOWING:
-            return f"EVE L2 {own:.4f} is near {mean:.4f}, the clip's true mean, and nothing unsteady: was it used?"
-    return ""
 
 
 def _over_plates(scores: Sequence[Scores]) -> bool | None:
@@ -404,8 +358,8 @@ def _whose(methods: Sequence[str], scenes: Sequence[ScoredScene]) -> dict[str, s
         flame = all(run.scores.import_.over_plates for run in scene.runs[name])
         return not flame, not all(name in other.runs for other in scenes)
 
-    there = [(scene, [name for name in methods if name in scene.runs]) for scene in scenes]
-    return {scene.name: min(names, key=partial(last, scene)) for scene, names in there if names}
+    taking_part = [(scene, [name for name in methods if name in scene.runs]) for scene in scenes]
+    return {scene.name: min(names, key=partial(last, scene)) for scene, names in taking_part if names}
 
 
 def _trivial_rows(whose: dict[str, str], scenes: Sequence[ScoredScene]) -> list[BoardRow]:

@@ -62,13 +62,13 @@ class FrameCorrection:
             picture = cv2.LUT(picture, tables.reshape(256, 1, 3))
         if self.matrix is not None:
             size = picture.shape[1::-1]
-            there = cv2.warpPerspective(
+            covered = cv2.warpPerspective(
                 np.ones(picture.shape[:2], np.uint8), self.matrix, size, flags=cv2.INTER_NEAREST
             )
             moved = cv2.warpPerspective(
                 picture, self.matrix, size, flags=cv2.INTER_CUBIC, borderMode=cv2.BORDER_REPLICATE
             )
-            picture = np.where(there[..., None] > 0, moved, picture if self.reference is None else self.reference)
+            picture = np.where(covered[..., None] > 0, moved, picture if self.reference is None else self.reference)
         return picture
 
 
@@ -168,11 +168,11 @@ def _followed(base: np.ndarray, now: np.ndarray, points: np.ndarray) -> np.ndarr
 
     if not len(points):
         return np.zeros((0, 2))
-    there, ok = _lucas_kanade(base, now, points)
-    back, returned = _lucas_kanade(now, base, there)
+    followed, ok = _lucas_kanade(base, now, points)
+    back, returned = _lucas_kanade(now, base, followed)
     off = np.linalg.norm((back - points).reshape(-1, 2), axis=1)
     kept = (ok.ravel() > 0) & (returned.ravel() > 0) & (off <= BACK_PX)
-    return np.where(kept[:, None], there.reshape(-1, 2), np.nan)
+    return np.where(kept[:, None], followed.reshape(-1, 2), np.nan)
 
 
 def _lucas_kanade(first: np.ndarray, then: np.ndarray, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -246,10 +246,10 @@ def _move(track: np.ndarray, places: np.ndarray, still: np.ndarray, model: Model
     """Return (3, 3) from a frame's points (P, 2) to their places (P, 2), robustly; NaN where too few are found."""
     import cv2
 
-    there = still & np.isfinite(track).all(1)
-    if there.sum() < FEWEST_POINTS // 2:
+    known = still & np.isfinite(track).all(1)
+    if known.sum() < FEWEST_POINTS // 2:
         return np.full((3, 3), np.nan)
-    now, then = track[there], places[there]
+    now, then = track[known], places[known]
     first, kept = cv2.estimateAffinePartial2D(now, then, ransacReprojThreshold=FIT_PX, maxIters=2000, confidence=0.999)
     if first is None or kept.sum() < 0.5 * len(now):
         return np.full((3, 3), np.nan)
@@ -265,10 +265,10 @@ def _move(track: np.ndarray, places: np.ndarray, still: np.ndarray, model: Model
 def _similarity(now: np.ndarray, then: np.ndarray, weight: np.ndarray) -> np.ndarray:
     """Return (3, 3) of the weighted least squares: complex then = a * now + b (Umeyama, in the plane)."""
     w = weight / weight.sum()
-    here, there = now @ [1, 1j], then @ [1, 1j]
-    here_0, there_0 = w @ here, w @ there
-    a = (w * np.conj(here - here_0)) @ (there - there_0) / (w @ np.abs(here - here_0) ** 2)
-    b = there_0 - a * here_0
+    source, target = now @ [1, 1j], then @ [1, 1j]
+    source_0, target_0 = w @ source, w @ target
+    a = (w * np.conj(source - source_0)) @ (target - target_0) / (w @ np.abs(source - source_0) ** 2)
+    b = target_0 - a * source_0
     return np.array([[a.real, -a.imag, b.real], [a.imag, a.real, b.imag], [0, 0, 1]])
 
 
@@ -327,15 +327,15 @@ def find_gains(seen: StillPoints, moves: np.ndarray, known: np.ndarray) -> tuple
         change = np.where(alike, log - level, np.nan)
         gain = _median(change, 1)
         gain -= _median(gain[known], 0)
-    told = np.isfinite(gain).all(0)  # a channel may be dark everywhere
-    mean = gain[:, told].mean(1)
+    measured = np.isfinite(gain).all(0)  # a channel may be dark everywhere
+    mean = gain[:, measured].mean(1)
     changed = np.abs(mean) > STEADY_GAIN / 2
     if np.ptp(np.quantile(mean, [0.02, 0.98])) <= STEADY_GAIN or not changed.any():
         return ones, ""
     limit = np.maximum(AGREE, AGREE_SHARE * np.abs(mean))
-    channels = np.ptp(gain[:, told], axis=1) <= limit
+    channels = np.ptp(gain[:, measured], axis=1) <= limit
     height, width = seen.small.shape[1:3]
-    blocks = _by_block(_mean(change[..., told] - gain[:, None, told], -1), (height, width))
+    blocks = _by_block(_mean(change[..., measured] - gain[:, None, measured], -1), (height, width))
     even_space = 0.5 * np.ptp(np.nanquantile(blocks, [0.1, 0.9], axis=1), axis=0) <= limit
     trusted = channels & even_space
     percent = f"{100 * np.expm1(np.ptp(mean)):.0f} %"
@@ -383,14 +383,14 @@ def _by_block(cells: np.ndarray, shape: tuple[int, int]) -> np.ndarray:
 
 def _mean(values: np.ndarray, axis: int) -> np.ndarray:
     """Return the mean of what is there; NaN where nothing is."""
-    there = np.isfinite(values)
-    return np.where(there, values, 0).sum(axis) / np.where(there.any(axis), there.sum(axis), np.nan)
+    known = np.isfinite(values)
+    return np.where(known, values, 0).sum(axis) / np.where(known.any(axis), known.sum(axis), np.nan)
 
 
 def _median(values: np.ndarray, axis: int) -> np.ndarray:
     """Return the median of what is there; NaN where nothing is. NumPy's `nanmedian` takes several times as long."""
-    ordered, there = np.sort(values, axis), (~np.isnan(values)).sum(axis, keepdims=True)  # NaN come last
-    low, high = (np.take_along_axis(ordered, k, axis) for k in (np.maximum(there - 1, 0) // 2, there // 2))
+    ordered, counts = np.sort(values, axis), (~np.isnan(values)).sum(axis, keepdims=True)  # NaN come last
+    low, high = (np.take_along_axis(ordered, k, axis) for k in (np.maximum(counts - 1, 0) // 2, counts // 2))
     return ((low + high) / 2).squeeze(axis)
 
 

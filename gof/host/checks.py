@@ -83,10 +83,10 @@ def check_python() -> Outcome:
 
 
 def check_system() -> Outcome:
-    here, libc = machine(), " ".join(platform.libc_ver())
-    cpu = f"{here['CPU']} ({' '.join(cpu_features()) or 'features unknown'}), {here['cores']} cores"
+    facts, libc = machine(), " ".join(platform.libc_ver())
+    cpu = f"{facts['CPU']} ({' '.join(cpu_features()) or 'features unknown'}), {facts['cores']} cores"
     variables = [f"{name}={os.environ[name]}" for name in VARIABLES if name in os.environ]
-    return "ok", ", ".join([here["system"], *filter(None, [libc]), cpu, here["memory"], *variables])
+    return "ok", ", ".join([facts["system"], *filter(None, [libc]), cpu, facts["memory"], *variables])
 
 
 def check_packages() -> Outcome:
@@ -107,9 +107,9 @@ def check_packages() -> Outcome:
 def check_extras() -> Outcome:
     """Return which extras are whole; of those begun, what they lack."""
     lacks = extras.missing()
-    there = ", ".join(name for name, missing in lacks.items() if not missing) or "none"
+    whole = ", ".join(name for name, missing in lacks.items() if not missing) or "none"
     absent = "; ".join(f"{name} lacks {', '.join(missing)}" for name, missing in lacks.items() if missing)
-    return ("missing", f"{there}. {absent}: {extras.command('NAME')}") if absent else ("ok", there)
+    return ("missing", f"{whole}. {absent}: {extras.command('NAME')}") if absent else ("ok", whole)
 
 
 def check_torch() -> Outcome:

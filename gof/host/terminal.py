@@ -83,18 +83,29 @@ def progress_bar(
     In a child of `run_worker` it prints progress lines instead, and the parent draws the bar.
     """
     if os.environ.get(WORKER_VARIABLE):
-
-        def tell(done: int, total: int, stage: str = title, share: float | None = None, **figures) -> None:
-            if left is not None:
-                left.reach(stage, done / max(total, 1) if share is None else share)
-                figures["left_s"] = left.seconds
-            report_progress(stage, done, total, **figures)
-
-        yield tell
-        return
-    if os.environ.get(QUIET_VARIABLE):
+        yield _report_to_parent(title, left)
+    elif os.environ.get(QUIET_VARIABLE):
         yield lambda *_, **__: None
-        return
+    else:
+        with _draw_bar(title, ticking, _Left(left or TimeLeft(), after_s)) as update:
+            yield update
+
+
+def _report_to_parent(title: str, left: TimeLeft | None) -> Callable[..., None]:
+    """Return the update of a bar that the parent process draws."""
+
+    def tell(done: int, total: int, stage: str = title, share: float | None = None, **figures) -> None:
+        if left is not None:
+            left.reach(stage, done / max(total, 1) if share is None else share)
+            figures["left_s"] = left.seconds
+        report_progress(stage, done, total, **figures)
+
+    return tell
+
+
+@contextmanager
+def _draw_bar(title: str, ticking: bool, shown: _Left) -> Iterator[Callable[..., None]]:
+    """Provide the update of a bar that is drawn on this terminal, or printed as lines where there is none."""
     from rich.console import Console
     from rich.progress import (
         BarColumn,
@@ -115,7 +126,6 @@ def progress_bar(
     )
     console = Console(stderr=True)
     progress = Progress(*columns, console=console, auto_refresh=ticking, refresh_per_second=4)
-    shown = _Left(left or TimeLeft(), after_s)
     task = progress.add_task(title, total=None, note="", left=shown)
     last = 0.0
 

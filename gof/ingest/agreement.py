@@ -205,18 +205,18 @@ def require_few_repeats(video: VideoInfo) -> None:
     """Raise DataFormatError: more than `MAX_MISSING` of a film's frames show the one before them again."""
     if len(video.repeated) > MAX_MISSING * (video.frames or 0):
         path = video.path
-        told = (
+        finding = (
             f"{path}: {len(video.repeated)} of its {video.frames} frames show the one before them again (first frame "
             f"{video.repeated[0]}): was it converted to another rate?"
         )
         if video.numbers is not None:
             raise DataFormatError(
-                f"{told} Take the pictures out of the camera's own file, as they are: ffmpeg -i FILM -fps_mode "
+                f"{finding} Take the pictures out of the camera's own file, as they are: ffmpeg -i FILM -fps_mode "
                 "passthrough %06d.png; or remove the repeats: a missing number is a gap in time"
             )
         copy = shlex.quote(str(path.with_name(f"{path.stem}_once{path.suffix}")))
         raise DataFormatError(
-            f"{told} Give the camera's own file, or leave the repeats "
+            f"{finding} Give the camera's own file, or leave the repeats "
             f"out: ffmpeg -i {shlex.quote(str(path))} -vf mpdecimate -fps_mode vfr -c:v libx264 -crf 12 {copy}, with "
             "--times stamps"
         )

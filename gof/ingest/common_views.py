@@ -68,15 +68,15 @@ def _shared(one: PlateFeatures, other: PlateFeatures) -> int:
 
     if min(len(one.places), len(other.places)) < FEWEST_MATCHES:
         return 0
-    there = [pair for pair in cv2.BFMatcher().knnMatch(one.kinds, other.kinds, k=2) if len(pair) == 2]
+    nearest = [pair for pair in cv2.BFMatcher().knnMatch(one.kinds, other.kinds, k=2) if len(pair) == 2]
     back = {m.queryIdx: m.trainIdx for m in cv2.BFMatcher().match(other.kinds, one.kinds)}
     pairs = [
         (first.queryIdx, first.trainIdx)
-        for first, second in there
+        for first, second in nearest
         if first.distance < RATIO * second.distance and back.get(first.trainIdx) == first.queryIdx
     ]
     if len(pairs) < FEWEST_MATCHES:
         return len(pairs)
-    here, over = np.array(pairs).T
-    _, fits = cv2.findFundamentalMat(one.places[here], other.places[over], cv2.USAC_MAGSAC, EPIPOLAR_PX, 0.999, 5000)
+    own, over = np.array(pairs).T
+    _, fits = cv2.findFundamentalMat(one.places[own], other.places[over], cv2.USAC_MAGSAC, EPIPOLAR_PX, 0.999, 5000)
     return 0 if fits is None else int(fits.sum())

@@ -16,7 +16,7 @@ from gof.core.errors import DataFormatError, GofError, MissingDependencyError
 from gof.core.files import atomic_path, only_run_in, path_in, stamp
 from gof.core.records import claim
 from gof.dataset import Dataset
-from gof.dataset.leaks import MadeFrom, refuse_leaks
+from gof.dataset.leaks import MadeFrom, require_no_leaks
 from gof.dataset.poses import FILE as POSES
 from gof.dataset.poses import Poses
 from gof.host import extras
@@ -192,7 +192,7 @@ def write_plate_depths(dataset: Dataset, weights: Path | None = None, overwrite:
     for file in (*files, cloud):
         if file.exists() and not overwrite:
             raise GofError(f"{file}: is there already; replace it with --overwrite")
-    refuse_leaks(dataset)
+    require_no_leaks(dataset)
     poses = Poses.read(dataset.path)
     sparse = np.zeros((0, 3)) if poses is None else poses.points_array() - dataset.datum.position
     plates = [np.rint(255 * dataset.static(c)).astype(np.uint8) for c in range(len(dataset.cameras))]

@@ -319,8 +319,8 @@ def board_masks(
 def _synced_videos(path: Path, count: int) -> tuple[SyncedVideo, ...]:
     """Read a times.json. Raises DataFormatError: it is none, or of another number of videos."""
     if path.is_dir():
-        there = f"; give {path / FILE}" if (path / FILE).is_file() else f", with no {FILE} in it"
-        raise DataFormatError(f"{path}: a folder{there}")
+        hint = f"; give {path / FILE}" if (path / FILE).is_file() else f", with no {FILE} in it"
+        raise DataFormatError(f"{path}: a folder{hint}")
     known = read_record(FrameTimesFile, path).cameras
     if len(known) != count:
         raise DataFormatError(f"{path}: has {len(known)} cameras; it must be made of the same {count} videos")

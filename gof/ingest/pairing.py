@@ -50,15 +50,15 @@ def pair(names: list[str], clocks: list[np.ndarray], start: int, limit: int | No
     first = _first_frame(where, names, clocks, steps, start, slowest)
     moments = own[slowest][own[slowest] >= first]
     time_s = clocks[slowest][moments]
-    chosen, there = [], np.ones(len(moments), bool)
+    chosen, present = [], np.ones(len(moments), bool)
     inside = np.ones(len(moments), bool)
     for clock, k, step in zip(clocks, own, steps, strict=True):
         phase = clock[_nearest(clock, k, time_s[:1])[0]] - time_s[0] if _steady_phase(steps[slowest] / step) else 0.0
         frames = _nearest(clock, k, time_s + phase)
-        there &= np.abs(clock[frames] - time_s - phase) <= NEAR * step
+        present &= np.abs(clock[frames] - time_s - phase) <= NEAR * step
         inside &= time_s + phase <= clock[-1] + 0.5 * step
         chosen.append(frames)
-    used = np.flatnonzero(there & inside)
+    used = np.flatnonzero(present & inside)
     for frames in chosen:
         used = used[np.diff(frames[used], prepend=-1) > 0]
     used = used[:limit]
@@ -72,7 +72,7 @@ def pair(names: list[str], clocks: list[np.ndarray], start: int, limit: int | No
     if lost - repeats > MAX_LEFT_OUT * (used[-1] + 1):
         raise DataFormatError(
             f"{where}at {lost} of {used[-1] + 1} moments some camera has no frame, first at frame "
-            f"{moments[np.flatnonzero(~there)[0]]} of {names[slowest]}: do the times belong to these videos? If so, "
+            f"{moments[np.flatnonzero(~present)[0]]} of {names[slowest]}: do the times belong to these videos? If so, "
             "choose a range without with --start and --frames"
         )
     paired = [numbers[used] for numbers in chosen]

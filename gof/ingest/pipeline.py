@@ -15,13 +15,13 @@ from gof.core.description import FILE as DATASET
 from gof.core.drafts import remove
 from gof.core.errors import DataFormatError, GofError
 from gof.core.files import only_run_in
-from gof.dataset import DatasetDescription
+from gof.dataset import DatasetDescription, Splits
 from gof.dataset.poses import FILE as POSES
 from gof.dataset.poses import Poses
 from gof.footage.steadying import by_number, look, steady
 from gof.footage.videos import fingerprint
 from gof.host.terminal import progress_bar
-from gof.ingest.fire_free import PlateOptions, make_plates, outside
+from gof.ingest.fire_free import FireFree, PlateOptions, make_plates, outside
 from gof.ingest.footage import (
     Footage,
     PreparedClip,
@@ -76,10 +76,10 @@ def require_new(out: Path, overwrite: bool = False) -> None:
             return
         remedy = ", or replace it with --overwrite" if replaceable else " or remove it"
         raise GofError(f"{out}: already holds a dataset; choose another --out{remedy}")
-    there = _written_in(out)
-    if there and not (out / UNFINISHED).is_file():
+    stray = _written_in(out)
+    if stray and not (out / UNFINISHED).is_file():
         raise GofError(
-            f"{out}: holds {', '.join(there)}, with which a dataset would mix, and no unfinished run left them; choose "
+            f"{out}: holds {', '.join(stray)}, with which a dataset would mix, and no unfinished run left them; choose "
             "another --out, or move them away"
         )
 
@@ -170,77 +170,32 @@ def _make(
 ) -> Ingested:
     """As `make_dataset`, in a folder that is this run's alone and holds at most a dataset that is to be replaced."""
     log = StageLog(out / UNFINISHED)
-
-    # ---- frame times, footage ----------------------------------------------------------------------------------------
-    with log.measure("read") as figures:
-        times = footage.frame_times(timing)
-        clips = footage.clips(times.frames)
-        splits = footage.splits(len(clips[0]))
-        beyond = outside(footage, times.frames, plate)
-        steadied = steadied_clips(footage, clips, beyond, splits.train)
-        clips, beyond = steadied.clips, steadied.beyond
-        known = [clip.only(splits.train) for clip in clips]  # all that a method may learn from
-        figures.update(cameras=len(clips), frames=len(clips[0]))
-
-    # ---- plates ------------------------------------------------------------------------------------------------------
-    with log.measure("plates") as figures:
-        figures["plate"] = plate.source
-        more = [clues_of(other, pose_options) for other in others]
-        passes = [plate.passes] * len(known) + [1] * len(beyond)
-        with watched("plates", [*known, *beyond], passes) as seen:
-            elsewhere = [[other.plates[c] for other in more] for c in range(len(known))]
-            fire_free = make_plates(footage, seen[: len(known)], seen[len(known) :], elsewhere, plate)
-        figures["fire_left"] = fire_free.fire_left
-
-    # ---- poses -------------------------------------------------------------------------------------------------------
-    with log.measure("poses") as figures:
-        with watched("poses: read", known, [1 + (pose_options.board is not None)] * len(known)) as seen:
-            clues = PoseClues.of(out.name, seen, fire_free.lowest, pose_options)
-            if len(seen) == 1 and footage.world_to_camera is None:
-                lens, plate_picture = footage.upright_lenses[0], fire_free.pictures[0]
-                placed = place_alone(seen[0], plate_picture, lens, clues, pose_options)
-            else:
-                placed = footage.place([clues, *more], pose_options)
-        footage = footage.seen_through(placed.lenses)
-        figures.update(method=placed.report.method, points=len(placed.points))
-    cameras = placed_cameras(footage, times, placed)
-    plates = fire_free.pictures
-    stored = [stored_view(camera, plate, max_size) for camera, plate in zip(cameras, plates, strict=True)]
-
-    # ---- write -------------------------------------------------------------------------------------------------------
-    plate_frames = {name: len(a) + len(b) for name, a, b in zip(footage.names, known, beyond, strict=bool(beyond))}
+    read = _read_clips(footage, timing, plate, log)
+    fire_free, clues = _remove_fire(footage, read, plate, others, pose_options, log)
+    placed = _find_poses(out.name, footage, read, fire_free, clues, pose_options, log)
+    footage = footage.seen_through(placed.lenses)
+    cameras = placed_cameras(footage, read.times, placed)
+    stored = [stored_view(camera, pixels, max_size) for camera, pixels in zip(cameras, fire_free.pictures, strict=True)]
     poses = Poses.of(placed.report, placed.points)
-    made_by = {
-        "footage": [video.name for video in footage.videos],
-        "plate": plate.source,
-        "fire_left": dict(zip(footage.names, fire_free.fire_left, strict=True)),
-        **({"plate_frames": plate_frames} if beyond else {}),
-        "clock": times.source,
-        "notes": [*footage.notes, *times.notes, *steadied.notes],
-        "steadied": dict(zip(footage.names, steadied.figures, strict=True)),
-        "mask": "estimated from the plates",
-        "scale": placed.report.scale,
-        **({"rig_clips": [other.videos[0].parent.name for other in others]} if others else {}),
-        **footage.provenance,
-    }
-    boards = [footage.board_mask(c, board) for c, board in enumerate(times.boards or [None] * len(clips))]
+    made_by = _tell_provenance(footage, read, fire_free, plate, placed, others)
+    boards = [footage.board_mask(c, board) for c, board in enumerate(read.times.boards or [None] * len(read.clips))]
     made_from = derived_files(stored, placed, plate.folder is None)
     clear(out)
-    with log.measure("write"), watched("write", clips) as seen:
+    with log.measure("write"), watched("write", read.clips) as seen:
         for view, clip, board in zip(stored, seen, boards, strict=True):
             write_pictures(out, view, clip)
             if board is not None:
                 write_picture(out / view.board_mask, resized(board, view.camera)[..., None])
         poses.write(out)
         footage.write_beside(out)
-        entries = camera_entries(footage, times, stored, boards)
+        entries = camera_entries(footage, read.times, stored, boards)
         DatasetDescription(
             out.name,
-            tuple(times.time_s[0].tolist()),
+            tuple(read.times.time_s[0].tolist()),
             entries,
-            splits,
+            read.splits,
             provenance=made_by,
-            made_from=dict.fromkeys(made_from, splits.train),
+            made_from=dict.fromkeys(made_from, read.splits.train),
         ).write(out)  # last: it says that the rest is there
     by_clip = fire_free.fire_left_by_clip
     return Ingested(
@@ -248,9 +203,111 @@ def _make(
         poses,
         made_by["fire_left"],
         dict(zip(footage.names, by_clip, strict=True)) if by_clip else None,
-        (*footage.notes, *times.notes, *steadied.notes),
+        tuple(made_by["notes"]),
         None if footage.lens in GIVEN else footage.lens,
     )
+
+
+@dataclass(frozen=True)
+class ReadClips:
+    """The cameras' clips on one clock, steadied, and the frames of them that may be learned from."""
+
+    times: FrameTimes
+    splits: Splits
+    steadied: SteadiedClips
+
+    @property
+    def clips(self) -> list[PreparedClip]:
+        return self.steadied.clips
+
+    @property
+    def beyond(self) -> list[PreparedClip]:
+        return self.steadied.beyond
+
+    @property
+    def known(self) -> list[PreparedClip]:
+        """All that a method may learn from."""
+        return [clip.only(self.splits.train) for clip in self.clips]
+
+
+def _read_clips(footage: Footage, timing: Timing, plate: PlateOptions, log: StageLog) -> ReadClips:
+    """Find the frames' times, and what to do to the pictures."""
+    with log.measure("read") as figures:
+        times = footage.frame_times(timing)
+        clips = footage.clips(times.frames)
+        splits = footage.splits(len(clips[0]))
+        steadied = steadied_clips(footage, clips, outside(footage, times.frames, plate), splits.train)
+        figures.update(cameras=len(steadied.clips), frames=len(steadied.clips[0]))
+    return ReadClips(times, splits, steadied)
+
+
+def _remove_fire(
+    footage: Footage,
+    read: ReadClips,
+    plate: PlateOptions,
+    others: tuple[Footage, ...],
+    pose_options: PoseOptions,
+    log: StageLog,
+) -> tuple[FireFree, list[PoseClues]]:
+    """Make the plates, for which the rig's other clips are read: their clues to the poses are returned with them."""
+    known, beyond = read.known, read.beyond
+    with log.measure("plates") as figures:
+        figures["plate"] = plate.source
+        clues = [clues_of(other, pose_options) for other in others]
+        passes = [plate.passes] * len(known) + [1] * len(beyond)
+        with watched("plates", [*known, *beyond], passes) as seen:
+            elsewhere = [[other.plates[c] for other in clues] for c in range(len(known))]
+            fire_free = make_plates(footage, seen[: len(known)], seen[len(known) :], elsewhere, plate)
+        figures["fire_left"] = fire_free.fire_left
+    return fire_free, clues
+
+
+def _find_poses(
+    name: str,
+    footage: Footage,
+    read: ReadClips,
+    fire_free: FireFree,
+    others: list[PoseClues],
+    options: PoseOptions,
+    log: StageLog,
+) -> Placed:
+    """Place the cameras by the dataset's own clip and the clues of the rig's `others`."""
+    known = read.known
+    with log.measure("poses") as figures:
+        with watched("poses: read", known, [1 + (options.board is not None)] * len(known)) as seen:
+            clues = PoseClues.of(name, seen, fire_free.lowest, options)
+            if len(seen) == 1 and footage.world_to_camera is None:
+                placed = place_alone(seen[0], fire_free.pictures[0], footage.upright_lenses[0], clues, options)
+            else:
+                placed = footage.place([clues, *others], options)
+        figures.update(method=placed.report.method, points=len(placed.points))
+    return placed
+
+
+def _tell_provenance(
+    footage: Footage,
+    read: ReadClips,
+    fire_free: FireFree,
+    plate: PlateOptions,
+    placed: Placed,
+    others: tuple[Footage, ...],
+) -> dict:
+    """Return what the dataset's description says of its making."""
+    beyond = read.beyond
+    plate_frames = {name: len(a) + len(b) for name, a, b in zip(footage.names, read.known, beyond, strict=bool(beyond))}
+    return {
+        "footage": [video.name for video in footage.videos],
+        "plate": plate.source,
+        "fire_left": dict(zip(footage.names, fire_free.fire_left, strict=True)),
+        **({"plate_frames": plate_frames} if beyond else {}),
+        "clock": read.times.source,
+        "notes": [*footage.notes, *read.times.notes, *read.steadied.notes],
+        "steadied": dict(zip(footage.names, read.steadied.figures, strict=True)),
+        "mask": "estimated from the plates",
+        "scale": placed.report.scale,
+        **({"rig_clips": [other.videos[0].parent.name for other in others]} if others else {}),
+        **footage.provenance,
+    }
 
 
 @dataclass(frozen=True)

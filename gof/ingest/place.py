@@ -172,10 +172,10 @@ def _judged(
     say."""
     share = sfm.consistent_share(features, lenses, model.world_to_camera)
     consistent = {f"{names[i]}-{names[j]}": round(v, 3) for (i, j), v in share.items() if np.isfinite(v)}
-    told = [pair for pair, m in features.matches.items() if len(m) >= MIN_JUDGED]
-    weak = [f"{names[i]}-{names[j]}" for i, j in told if share[i, j] < MIN_CONSISTENT]
+    judged = [pair for pair, m in features.matches.items() if len(m) >= MIN_JUDGED]
+    weak = [f"{names[i]}-{names[j]}" for i, j in judged if share[i, j] < MIN_CONSISTENT]
     # The cameras of a rig are known to stand where they stood, whatever this clip's own matches tell.
-    lonely = [] if method == "rig" else [n for c, n in enumerate(names) if not any(c in pair for pair in told)]
+    lonely = [] if method == "rig" else [n for c, n in enumerate(names) if not any(c in pair for pair in judged)]
     check = adjust.check_points(points, lenses, model.world_to_camera)
     together = _together(model.world_to_camera, names)
     return _Attempt(method, model, consistent, check, _objection(together, weak, lonely, check))

@@ -105,15 +105,15 @@ def find_plates(folder: Path, names: Iterable[str]) -> list[Path]:
     """
     if not folder.is_dir():
         raise DataFormatError(f"{folder}: no such folder; {WANTED}")
-    there = sorted(path for path in folder.iterdir() if not is_hidden(path))
+    files = sorted(path for path in folder.iterdir() if not is_hidden(path))
     found = []
     for name in names:
         # the benchmark's scenes have an EXR beside it
-        mine = [p for p in there if p.stem.lower() == name and p.suffix.lower() in (*SUFFIXES, *FILMS)]
+        mine = [p for p in files if p.stem.lower() == name and p.suffix.lower() in (*SUFFIXES, *FILMS)]
         if len(mine) > 1:
             raise DataFormatError(f"{mine[0]}: and {mine[1].name} are both plates of {name}; keep one")
         if not mine:
-            listed = ", ".join(p.name for p in there[:4]) + (", ..." if len(there) > 4 else "") or "nothing"
+            listed = ", ".join(p.name for p in files[:4]) + (", ..." if len(files) > 4 else "") or "nothing"
             raise DataFormatError(f"{folder}: no picture {name}.png there, but {listed}; {WANTED}")
         found += mine
     return found

@@ -175,14 +175,14 @@ def shift_between(
         grey = cv2.cvtColor(picture, cv2.COLOR_RGB2GRAY)
         points, kinds = sift.detectAndCompute(grey, where.astype(np.uint8) * 255)
         sides.append((np.array([p.pt for p in points]).reshape(-1, 2) + 0.5, kinds))
-    (here, these), (there, those) = sides
-    if len(here) < 2 or len(there) < 2:
+    (ours, these), (theirs, those) = sides
+    if len(ours) < 2 or len(theirs) < 2:
         return float("nan"), 0
     nearest = cv2.BFMatcher().knnMatch(these, those, k=2)
     pairs = np.array([(a.queryIdx, a.trainIdx) for a, b in nearest if a.distance < 0.75 * b.distance]).reshape(-1, 2)
     if not len(pairs):
         return float("nan"), 0
-    apart = np.linalg.norm(there[pairs[:, 1]] * scale - here[pairs[:, 0]], axis=1)
+    apart = np.linalg.norm(theirs[pairs[:, 1]] * scale - ours[pairs[:, 0]], axis=1)
     return float(np.median(apart)), len(pairs)
 
 

@@ -187,7 +187,7 @@ def read_room(path: Path) -> TransientGaussians:
         ply = Ply.read(path)
         if ply.has(*PROPERTIES):
             return _still(TransientGaussians.load(path))
-        ply.refuse_unread()
+        ply.require_read()
         splats = ply.splats()
         n = len(splats["position"])
         if not n:

@@ -17,8 +17,9 @@ from gof.evaluate.leaderboard import COLUMNS, EvaluatedResult, LeaderboardRow, b
 from gof.evaluate.sparse_grid import StoredField
 from gof.evaluate.suite_board import RANKED, BoardRow, BoardScene, Figure, SuiteBoard
 from gof.evaluate.training_curve import TrainingCurve
-from gof.look.charts import FAINT, Chart, accuracy_charts, line_chart, stream_chart
+from gof.look.charts import FAINT, accuracy_charts, line_chart, stream_chart
 from gof.look.comparison import read_again
+from gof.look.drawing import Chart
 from gof.look.pages import PageGrid, template
 
 K = TypeVar("K", int, str)  # what names a row
@@ -26,8 +27,8 @@ K = TypeVar("K", int, str)  # what names a row
 
 def used(rows: tuple[BoardRow, ...]) -> list[str]:
     """Return the columns in which any row has a value: those with ranks first."""
-    there = [key for key in COLUMNS if any(key in row.figures for row in rows)]
-    return [key for key in RANKED if key in there] + [key for key in there if key not in RANKED]
+    filled = [key for key in COLUMNS if any(key in row.figures for row in rows)]
+    return [key for key in RANKED if key in filled] + [key for key in filled if key not in RANKED]
 
 
 def best(figures: Mapping[K, Figure], key: str) -> K | None:

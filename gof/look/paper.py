@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from gof.look.charts import LETTERS, SMALL, Chart, text_width_in
+from gof.look.drawing import LETTERS, SMALL, Chart, text_width_in
 from gof.look.tiles import BOX_COLOURS, Bar, Row, Tile, Wheel
 from gof.look.velocity import legend as wheel_picture
 

@@ -77,7 +77,7 @@ def build_report(
     )
     folder = out_dir / "pictures"
     frame = pictures.brightest_frame(dataset)
-    table, today = ScoreTable.of(scores), time.strftime("%Y-%m-%d")
+    today = time.strftime("%Y-%m-%d")
     with ThreadPoolExecutor(1) as beside:
         saved = beside.submit(_save, animation, folder)  # the encoder lets go of Python's lock
         content = {
@@ -95,15 +95,9 @@ def build_report(
             "filmed": dataset.description.is_filmed,
             "in_metres": dataset.description.in_metres,
             "original": pictures.original(dataset),
-            "picture_size": in_words(scores.images.sizes_px) if scores.images else "",
-            "scores": scores,
+            **_tell_scores(scores, f"{dataset.description.name}, gof {gof.__version__}, {today}"),
             "answers": answers(scores, train_s),
-            "table": table,
-            "latex": table.rows and table.latex(f"{dataset.description.name}, gof {gof.__version__}, {today}"),
-            "warnings": [_without_folders(warning) for warning in scores.warnings],
-            "chart": chart.svg() if (chart := frame_chart(scores)) else "",
             "around": _around(dataset, gaussians, scores),
-            "around_chart": chart.svg() if (chart := around_chart(scores)) else "",
             "stages": list(stages),
             "preview": _preview(preview, out_dir, dataset),
             "fire_removal": fire_removal,
@@ -127,6 +121,20 @@ def _save(animation: pictures.Animation, folder: Path) -> None:
     animation.save(folder / "animation.webp")
     with atomic_path(folder / "animation.png") as temporary:
         Image.fromarray(animation.frames[animation.still]).save(temporary)
+
+
+def _tell_scores(scores: Scores, title: str) -> dict[str, Any]:
+    """Return the parts of the page that the scores alone fill; `title` stands above the LaTeX table."""
+    table = ScoreTable.of(scores)
+    return {
+        "picture_size": in_words(scores.images.sizes_px) if scores.images else "",
+        "scores": scores,
+        "table": table,
+        "latex": table.rows and table.latex(title),
+        "warnings": [_without_folders(warning) for warning in scores.warnings],
+        "chart": chart.svg() if (chart := frame_chart(scores)) else "",
+        "around_chart": chart.svg() if (chart := around_chart(scores)) else "",
+    }
 
 
 def _facts(dataset: Dataset) -> dict[str, str]:

@@ -13,7 +13,7 @@ from gof.capture.times import FrameTimesFile, SyncedVideo, VideoTimes
 from gof.capture.warnings import missing_frames
 from gof.core.files import atomic_path
 from gof.footage.videos import stored_frames
-from gof.look.charts import Chart
+from gof.look.drawing import Chart
 from gof.look.images import data_uri
 from gof.look.pages import template
 

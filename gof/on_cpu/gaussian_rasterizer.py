@@ -208,8 +208,10 @@ class _Probe(torch.autograd.Function):
     @staticmethod
     def backward(ctx, grad):
         (probe,) = ctx.made
-        told = (grad[0] * ctx.half, probe.absgrad[0] * ctx.half)
-        padded = (torch.nn.functional.pad(rows, (0, wide - 2)) for rows, wide in zip(told, ctx.widths, strict=True))
+        gradients = (grad[0] * ctx.half, probe.absgrad[0] * ctx.half)
+        padded = (
+            torch.nn.functional.pad(rows, (0, wide - 2)) for rows, wide in zip(gradients, ctx.widths, strict=True)
+        )
         return *padded, None, None
 
 
@@ -273,11 +275,11 @@ def _camera(settings, width: int, height: int):
             f"diff_gaussian_rasterization: the fields of view across and down are exchanged ({width}x{height} px with "
             f"focal lengths {fx:.6g} and {fy:.6g} px), as some D-NeRF readers do; train on the 'nerfds' view"
         )
-    told = torch.tensor([fx, fy], dtype=torch.float32)
-    if not torch.allclose(seen, told, rtol=SAME):
+    given = torch.tensor([fx, fy], dtype=torch.float32)
+    if not torch.allclose(seen, given, rtol=SAME):
         raise DataFormatError(
             f"diff_gaussian_rasterization: 'projmatrix' has focal lengths {seen.tolist()} px, 'tanfovx' and 'tanfovy' "
-            f"{told.tolist()} px"
+            f"{given.tolist()} px"
         )
     eye = -view[:3, :3].T @ view[:3, 3]
     if not torch.allclose(eye, settings.campos.detach().float().reshape(3), rtol=SAME, atol=SAME):

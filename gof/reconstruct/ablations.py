@@ -55,9 +55,9 @@ def change_seeds(ablation: Ablation, seeds: TransientGaussians, rng: np.random.G
     return replace(seeds, velocity=light, gas_velocity=gas, velocity_sd=np.full(len(seeds), np.inf))
 
 
-def change_gas(ablation: Ablation, kept: TransientGaussians, told: TransientGaussians) -> TransientGaussians:
-    """Return the result: with the gas' velocity of its seeds (`kept`), or with that of the flow field (`told`)."""
-    return kept if ablation == "rand-flow" else told
+def change_gas(ablation: Ablation, kept: TransientGaussians, of_field: TransientGaussians) -> TransientGaussians:
+    """Return the result: with the gas' velocity of its seeds (`kept`), or with that of the flow field (`of_field`)."""
+    return kept if ablation == "rand-flow" else of_field
 
 
 def change_schedule(ablation: Ablation, schedule: Schedule) -> Schedule:

@@ -20,7 +20,7 @@ from gof.core.gaussians import TransientGaussians
 from gof.core.npz import read_npy
 from gof.core.records import claim, is_replaced
 from gof.dataset import Dataset
-from gof.dataset.leaks import refuse_leaks
+from gof.dataset.leaks import require_no_leaks
 from gof.dataset.poses import FILE as POSES
 from gof.dataset.poses import Poses
 from gof.host.options import require_whole
@@ -123,7 +123,7 @@ def make_background(folder: Path, out: Path, options: BackgroundOptions, overwri
     replaced = settings.is_replaced(out, overwrite)
     if result.exists() and not replaced:
         return TransientGaussians.load(result)
-    refuse_leaks(full)
+    require_no_leaks(full)
     dataset = shrink(full, options.longest_side)
     plates = [dataset.static(c) for c in range(len(dataset.cameras))]
     for name in MADE if replaced else ():

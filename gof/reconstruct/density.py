@@ -109,13 +109,13 @@ def changed(
     halves = old[np.repeat(pulled[large], 2)]
     halves = replace(halves, position=halves.position + within(halves, rng), scale=halves.scale / SPLIT_SHRINK)
     born = TransientGaussians.concatenate([old[pulled[~large]], halves])
-    there = np.ones(len(old), bool)
-    there[pulled[large]] = False
-    there &= old.opacity >= FAINT
+    remains = np.ones(len(old), bool)
+    remains[pulled[large]] = False
+    remains &= old.opacity >= FAINT
     stays = born.opacity >= FAINT
     if prune_wide:
-        there &= old.scale.max(1) <= WIDE * extent
+        remains &= old.scale.max(1) <= WIDE * extent
         stays &= born.scale.max(1) <= WIDE * extent
-    if not there.any() and not stays.any():
-        there[np.argmax(old.opacity)] = True
-    return np.flatnonzero(there), born[stays]
+    if not remains.any() and not stays.any():
+        remains[np.argmax(old.opacity)] = True
+    return np.flatnonzero(remains), born[stays]

@@ -134,9 +134,9 @@ def checked_velocity(flow: FlowMethod) -> FrameVelocity:
         for neighbour in (k - 1, k + 1):
             if neighbour not in pictures:
                 continue
-            there, back = pairs(pictures[k], pictures[neighbour])
-            bad = consistency(there, back) > MAX_ERROR_PX + 0.1 * np.linalg.norm(there, axis=-1)
-            velocity = there / (times[neighbour] - times[k])
+            moved, back = pairs(pictures[k], pictures[neighbour])
+            bad = consistency(moved, back) > MAX_ERROR_PX + 0.1 * np.linalg.norm(moved, axis=-1)
+            velocity = moved / (times[neighbour] - times[k])
             velocity[bad] = np.nan
             estimates.append(velocity)
         if not estimates:
@@ -156,8 +156,8 @@ def velocity_ahead(flow: FlowMethod) -> FrameVelocity:
     def velocity_at(pictures: dict[int, np.ndarray], times: np.ndarray, k: int) -> np.ndarray:
         for neighbour in (k + 1, k - 1):
             if neighbour in pictures:
-                there = flow(pictures[k], pictures[neighbour], pictures.get(2 * k - neighbour))
-                return (there / (times[neighbour] - times[k])).astype(np.float32)
+                moved = flow(pictures[k], pictures[neighbour], pictures.get(2 * k - neighbour))
+                return (moved / (times[neighbour] - times[k])).astype(np.float32)
         return _unknown(pictures[k])
 
     return velocity_at

@@ -58,18 +58,7 @@ def find_palette(observation: Observation) -> Palette | None:
 
     Clipped pixels count only where hardly any others are.
     """
-    delivered = np.argwhere(observation.delivered)
-    every, unclipped, clear = np.zeros((3, CELLS, CELLS))
-    for f, c in delivered[:: -(-len(delivered) // MOST_PICTURES) or 1]:
-        flame = observation.mask[f, c]
-        brightest = observation.image[f, c][flame].max(1)
-        light = light_above(observation.image[f, c], observation.plate[c])[flame]
-        outshines = light.max(1) > OUTSHINES * srgb_to_linear(observation.plate[c][flame]).max(1)
-        shown = linear_to_srgb(light)
-        lit = shown.max(1) > FAINT
-        kinds = (every, lit), (unclipped, lit & (brightest < CLIPPED)), (clear, lit & (brightest < BRIGHT) & outshines)
-        for counts, counted in kinds:
-            np.add.at(counts, tuple(_cells(shown[counted]).T), 1)
+    every, unclipped, clear = _count_colors(observation)
     if not every.any():
         return None
     enough = ENOUGH * every.sum()
@@ -87,6 +76,23 @@ def find_palette(observation: Observation) -> Palette | None:
     others = (distance_transform_edt(others) > MARGIN) | (greener & pressed)
     cells = distance_transform_edt(others, return_distances=False, return_indices=True)
     return Palette(np.moveaxis(cells, 0, -1), pressed)
+
+
+def _count_colors(observation: Observation) -> np.ndarray:
+    """Return (3, CELLS, CELLS) how many of the flame's pixels have each colour: all, unclipped and clear ones."""
+    delivered = np.argwhere(observation.delivered)
+    every, unclipped, clear = counts = np.zeros((3, CELLS, CELLS))
+    for f, c in delivered[:: -(-len(delivered) // MOST_PICTURES) or 1]:
+        flame = observation.mask[f, c]
+        brightest = observation.image[f, c][flame].max(1)
+        light = light_above(observation.image[f, c], observation.plate[c])[flame]
+        outshines = light.max(1) > OUTSHINES * srgb_to_linear(observation.plate[c][flame]).max(1)
+        shown = linear_to_srgb(light)
+        lit = shown.max(1) > FAINT
+        kinds = (every, lit), (unclipped, lit & (brightest < CLIPPED)), (clear, lit & (brightest < BRIGHT) & outshines)
+        for kind, counted in kinds:
+            np.add.at(kind, tuple(_cells(shown[counted]).T), 1)
+    return counts
 
 
 def _cells(color: np.ndarray) -> np.ndarray:

@@ -15,7 +15,7 @@ from gof.core.errors import GofError
 from gof.core.files import only_run_in
 from gof.core.time_left import LEAST_S, MachineLoad, Paces, TimeLeft, duration
 from gof.dataset import Dataset
-from gof.dataset.leaks import refuse_leaked_work, refuse_leaks
+from gof.dataset.leaks import require_no_leaks, require_unleaked_work
 from gof.reconstruct import memory, sanity, stages
 from gof.reconstruct.density import MOST_GROWTH
 from gof.reconstruct.flow_prior import VOXELS
@@ -58,11 +58,11 @@ def reconstruct(
         LeakError: the dataset's plates, or what lies in `out`, were made from a frame that is held out.
     """
     require_stage(until)
-    refuse_leaks(dataset)
+    require_no_leaks(dataset)
     with only_run_in(out):
         replaced = settings.is_replaced(out, overwrite)
         if not replaced:
-            refuse_leaked_work(out, dataset)
+            require_unleaked_work(out, dataset)
             finished = stages.Reconstruction.find(out)
             if finished is not None:
                 return finished
@@ -171,5 +171,5 @@ def _require_possible(run: stages.ReconstructionRun, anyway: bool) -> None:
     for fault in found:
         print(f"warning: {fault.text}", file=sys.stderr)
     if not anyway:
-        sanity.refuse_impossible(found, run.dataset)
+        sanity.require_possible(found, run.dataset)
         memory.require(needed)

@@ -10,7 +10,7 @@ from pathlib import Path
 from gof.core.errors import GofError
 from gof.core.records import read_record
 from gof.dataset import Dataset
-from gof.dataset.leaks import refuse_leaks
+from gof.dataset.leaks import require_no_leaks
 from gof.reconstruct import ablations
 from gof.reconstruct.flow_field import FlowField, seen_flow_field
 from gof.reconstruct.flow_prior import VOXELS, FlowPrior
@@ -91,7 +91,7 @@ def recompute_inputs(
         raise GofError(
             f"{folder}: was made of the dataset '{settings.dataset}', and {dataset.path} is '{dataset.identity()}'"
         )
-    refuse_leaks(dataset)
+    require_no_leaks(dataset)
     small, flow = shrink(dataset, settings.longest_side), flow_method(settings.flow, flow_weights)
     say = progress or (lambda *done, **stage: None)
     observation = observation_of(small, settings, flow, lambda done, of: say(done, of, stage="motion"))

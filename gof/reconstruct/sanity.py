@@ -90,7 +90,7 @@ def window_share(dataset: Dataset) -> float:
     return float(np.max(shares, axis=0).prod()) if shares else 1.0
 
 
-def refuse_impossible(found: list[Fault], dataset: Dataset) -> None:
+def require_possible(found: list[Fault], dataset: Dataset) -> None:
     """Raise GofError where one of the faults stops."""
     stopping = [fault.text for fault in found if fault.stops]
     if stopping:

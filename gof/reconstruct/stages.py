@@ -33,7 +33,7 @@ from gof.reconstruct.curve import Curve, CurveLog, CurvePoint
 from gof.reconstruct.flow_field import FlowField
 from gof.reconstruct.gas import look_up_gas
 from gof.reconstruct.heldout import HeldOut
-from gof.reconstruct.methods import Method, rates_in_voxels
+from gof.reconstruct.methods import Method, Rates, rates_in_voxels
 from gof.reconstruct.observation import Observation
 from gof.reconstruct.optical_flow import FlowMethod
 from gof.reconstruct.optimize import Schedule, Units, optimize
@@ -214,32 +214,18 @@ def fit(
         Gaussians and plates as `gof.reconstruct.surroundings.Surroundings.result`, and the curve of held-out scores.
     """
     settings, method, dt = run.settings, run.method, run.dataset.frame_time_s
-    rates = rates_in_voxels(method.rates, observation.cameras, field.voxels.voxel_size)
-    schedule = Schedule(
-        settings.iterations,
-        rates,
-        method.gas_apart,
-        method.density_control,
-        method.color_of_light,
-        method.square_loss,
-        unseen=method.unseen,
-        seed=settings.seed,
+    schedule = _make_schedule(
+        settings, method, rates_in_voxels(method.rates, observation.cameras, field.voxels.voxel_size)
     )
-    schedule = ablations.change_schedule(settings.ablation, schedule)
     believed_s = ablations.change_times(settings.ablation, observation.camera_time_s, dt)
     observation = replace(observation, camera_time_s=believed_s)
     units = Units(field.voxels.voxel_size, dt)
     cameras = observation.cameras
     windows = Windows.around(field.voxels, cameras) if method.windows else Windows.whole(cameras)
-    parts = windows.cameras(cameras)
-    plates, blocked = (
-        np.stack([windows.cut(c, picture) for c, picture in enumerate(pictures)])
-        for pictures in (observation.plate, observation.blocked)
-    )
     surroundings: Surroundings = (
-        Plates(parts, plates, blocked, move=schedule.rates.plate > 0, emissive=method.color_of_light)
+        _cut_plates(windows, observation, move=schedule.rates.plate > 0, emissive=method.color_of_light)
         if still is None
-        else StillScene(still, parts, field.voxels)
+        else StillScene(still, windows.cameras(cameras), field.voxels)
     )
     unseen = None if light is None else imagine_views(field.voxels, light, observation)
     checkpoint = _checkpoint(run)
@@ -265,6 +251,30 @@ def fit(
     if method.gas_apart:
         gaussians = ablations.change_gas(settings.ablation, gaussians, look_up_gas(gaussians, field))
     return gaussians, whole(plates), curve.curve
+
+
+def _make_schedule(settings: ReconstructionSettings, method: Method, rates: Rates) -> Schedule:
+    """Return the optimisation's steps, as the method and the ablation want them."""
+    schedule = Schedule(
+        settings.iterations,
+        rates,
+        method.gas_apart,
+        method.density_control,
+        method.color_of_light,
+        method.square_loss,
+        unseen=method.unseen,
+        seed=settings.seed,
+    )
+    return ablations.change_schedule(settings.ablation, schedule)
+
+
+def _cut_plates(windows: Windows, observation: Observation, *, move: bool, emissive: bool) -> Plates:
+    """Return the plates, and what is blocked before them, in the windows."""
+    plates, blocked = (
+        np.stack([windows.cut(c, picture) for c, picture in enumerate(pictures)])
+        for pictures in (observation.plate, observation.blocked)
+    )
+    return Plates(windows.cameras(observation.cameras), plates, blocked, move=move, emissive=emissive)
 
 
 @dataclass(frozen=True)

@@ -125,8 +125,8 @@ def unsaturated_light(observation: Observation) -> np.ndarray:
         light = srgb_to_linear(picture[inside])
         often += (light > SATURATED).sum(0) / max(count, 1)
         bright += np.maximum(light - plate[inside], 0).sum(0, dtype=np.float64) / max(count, 1)
-    told = often <= max(OFTEN, often.min())
-    channel = int(np.argmax(np.where(told, bright, -1)))
+    unsaturated = often <= max(OFTEN, often.min())
+    channel = int(np.argmax(np.where(unsaturated, bright, -1)))
     clear = np.log(np.maximum(1 - plate[..., channel], THICKEST))
     thickness = np.empty(observation.image.shape[:-1], np.float32)
     for f, picture in enumerate(observation.image):

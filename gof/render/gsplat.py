@@ -7,12 +7,34 @@ no leading batch dimensions.
 
 from __future__ import annotations
 
+from typing import Any
+
 import torch
 
 from gof.core.errors import DataFormatError
 from gof.render.torch_api import rasterize
 
 MAX_ALPHA = 0.999
+ONLY = {  # by argument the one value that is drawn here
+    "distributed": False,
+    "camera_model": "pinhole",
+    "with_ut": False,
+    "with_eval3d": False,
+    "return_normals": False,
+    "global_z_order": True,
+    "rays": None,
+    "radial_coeffs": None,
+    "tangential_coeffs": None,
+    "thin_prism_coeffs": None,
+    "ftheta_coeffs": None,
+    "lidar_coeffs": None,
+    "external_distortion_coeffs": None,
+    "rolling_shutter": None,
+    "viewmats_rs": None,
+    "extra_signals": None,
+    "extra_signals_sh_degree": None,
+    "renderer_config": None,
+}
 
 
 def rasterization(
@@ -72,50 +94,15 @@ def rasterization(
     Raises:
         DataFormatError: an argument needs something that is not drawn here.
     """
-    _require_defaults(
-        distributed=(distributed, False),
-        camera_model=(camera_model, "pinhole"),
-        with_ut=(with_ut, False),
-        with_eval3d=(with_eval3d, False),
-        return_normals=(return_normals, False),
-        global_z_order=(global_z_order, True),
-        rays=(rays, None),
-        radial_coeffs=(radial_coeffs, None),
-        tangential_coeffs=(tangential_coeffs, None),
-        thin_prism_coeffs=(thin_prism_coeffs, None),
-        ftheta_coeffs=(ftheta_coeffs, None),
-        lidar_coeffs=(lidar_coeffs, None),
-        external_distortion_coeffs=(external_distortion_coeffs, None),
-        rolling_shutter=(None if getattr(rolling_shutter, "name", None) == "GLOBAL" else rolling_shutter, None),
-        viewmats_rs=(viewmats_rs, None),
-        extra_signals=(extra_signals, None),
-        extra_signals_sh_degree=(extra_signals_sh_degree, None),
-        renderer_config=(renderer_config, None),
-    )
+    _require_defaults(locals())
     if covars is not None:
         quats = scales = None
+    cut = {"near_plane": near_plane, "far_plane": far_plane, "radius_clip": radius_clip, "max_alpha": MAX_ALPHA}
+    modes = {"sh_degree": sh_degree, "render_mode": render_mode, "rasterize_mode": rasterize_mode, "eps2d": eps2d}
+    gradients = {"sparse_grad": sparse_grad, "absgrad": absgrad}
+    gaussians = means, quats, scales, opacities, colors
     image, alpha, drawn = rasterize(
-        means,
-        quats,
-        scales,
-        opacities,
-        colors,
-        viewmats,
-        Ks,
-        width,
-        height,
-        near_plane=near_plane,
-        far_plane=far_plane,
-        radius_clip=radius_clip,
-        eps2d=eps2d,
-        sh_degree=sh_degree,
-        backgrounds=backgrounds,
-        render_mode=render_mode,
-        rasterize_mode=rasterize_mode,
-        sparse_grad=sparse_grad,
-        absgrad=absgrad,
-        covars=covars,
-        max_alpha=MAX_ALPHA,
+        *gaussians, viewmats, Ks, width, height, backgrounds=backgrounds, covars=covars, **cut, **modes, **gradients
     )
     drawn |= {"radii": drawn["radii"][..., None].expand(-1, -1, 2), "gaussian_ids": None, "n_batches": 1}
     if packed:
@@ -123,9 +110,12 @@ def rasterization(
     return image, alpha, drawn
 
 
-def _require_defaults(**arguments) -> None:
-    """Args: the value given and the only one that is drawn here, by name. Raises DataFormatError: they differ."""
-    for name, (given, only) in arguments.items():
+def _require_defaults(arguments: dict[str, Any]) -> None:
+    """Raise DataFormatError where one of these arguments has a value that is not drawn here."""
+    for name, only in ONLY.items():
+        given = arguments[name]
+        if name == "rolling_shutter" and getattr(given, "name", None) == "GLOBAL":
+            continue
         if given is not only and (only is None or isinstance(given, torch.Tensor) or given != only):
             raise DataFormatError(f"gsplat.rasterization: '{name}' is {given!r}; only {only!r} is drawn here")
 

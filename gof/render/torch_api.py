@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from operator import index
 from typing import Any
 
@@ -113,37 +113,13 @@ def rasterize(
     taken from each camera's centre in float64 first: a world far from zero (UTM coordinates) costs no digits where
     means and viewmats are float64. Digits that float32 inputs have rounded away are lost.
     """
-    if render_mode not in RENDER_MODES or rasterize_mode not in ("classic", "antialiased"):
-        raise DataFormatError(
-            f"render_mode '{render_mode}' is not one of {list(RENDER_MODES)}, or rasterize_mode '{rasterize_mode}' "
-            "is neither 'classic' nor 'antialiased'"
-        )
-    if sparse_grad:
-        raise DataFormatError("rasterize has dense gradients; call it with sparse_grad=False")
-    for name, value in (("near_plane", near_plane), ("eps2d", eps2d)):
-        if not value > 0:
-            raise DataFormatError(f"'{name}' is {value}; it must be > 0")
+    _require_options(render_mode, rasterize_mode, sparse_grad, {"near_plane": near_plane, "eps2d": eps2d})
     width, height = _whole("width", width), _whole("height", height)
-    n, c = len(means), len(viewmats)
     with_color, depth_mode = RENDER_MODES[render_mode]
     if colors is None and not with_color:
-        colors, sh_degree, backgrounds = torch.zeros(n, 1), None, None
-    gaussians = {"means": means, "opacities": opacities, "colors": colors}
-    gaussians |= {"quats": quats, "scales": scales} if covars is None else {"covars": covars}
-    _require_shapes(n, c, gaussians, viewmats, Ks, backgrounds, sh_degree)
-    if check_finite:
-        for name, tensor in gaussians.items():
-            require_finite(name, tensor.detach().cpu().numpy())
-    if covars is not None:
-        if quats is not None or scales is not None:
-            raise DataFormatError("'covars' stands instead of 'quats' and 'scales'; give None for these")
-        upper, right = np.triu_indices(3)
-        covars = covars[:, upper, right]
-    if means2d is not None and tuple(means2d.shape) != (c, n, 2):
-        raise DataFormatError(f"'means2d' has shape {tuple(means2d.shape)}, expected {(c, n, 2)}")
-    if sh_degree is not None:
-        colors = colors[..., : (sh_degree + 1) ** 2, :]
-    per_camera = colors.ndim == (3 if sh_degree is None else 4)
+        colors, sh_degree, backgrounds = torch.zeros(len(means), 1), None, None
+    inputs = _Inputs(means, quats, scales, opacities, colors, covars, viewmats, Ks, backgrounds)
+    _require_inputs(inputs, means2d, sh_degree, check_finite=check_finite)
     projection = {
         "near": near_plane,
         "far": far_plane,
@@ -153,44 +129,88 @@ def rasterize(
     }
     drawing = {"deterministic": deterministic, "max_alpha": max_alpha, "absgrad": absgrad}
     options = _Options(width, height, with_color, depth_mode, sh_degree, projection | drawing)
-    probe = means2d
-    if probe is None:  # a leaf that every camera reads, so that autograd fills its .grad
-        learns = torch.is_grad_enabled() and any(tensor.requires_grad for tensor in (*gaussians.values(), viewmats))
-        probe = torch.zeros(c, n, 2, requires_grad=learns)
-    if absgrad:
+    return _draw_pictures(inputs, means2d, options)
+
+
+@dataclass(frozen=True)
+class _Inputs:
+    """Tensors of a call, with `rasterize`'s names and shapes."""
+
+    means: torch.Tensor
+    quats: torch.Tensor | None
+    scales: torch.Tensor | None
+    opacities: torch.Tensor
+    colors: torch.Tensor
+    covars: torch.Tensor | None
+    viewmats: torch.Tensor
+    Ks: torch.Tensor
+    backgrounds: torch.Tensor | None
+
+    @property
+    def gaussians(self) -> dict[str, Any]:
+        """Those that describe the Gaussians, by name."""
+        described = {"means": self.means, "opacities": self.opacities, "colors": self.colors}
+        shape = {"quats": self.quats, "scales": self.scales} if self.covars is None else {"covars": self.covars}
+        return described | shape
+
+
+def _draw_pictures(inputs: _Inputs, means2d, options: _Options) -> tuple:
+    """Draw the Gaussians with every camera; returns as `rasterize` does."""
+    n, c = len(inputs.means), len(inputs.viewmats)
+    probe = _make_probe(inputs) if means2d is None else means2d
+    if options.drawing["absgrad"]:
         probe.absgrad = torch.zeros(c, n, 2)
-    info = Info(width=width, height=height, n_cameras=c)
+    info = Info(width=options.width, height=options.height, n_cameras=c)
     if n == 0 or c == 0:
-        drawn_from = (*gaussians.values(), quats, scales, viewmats, probe)
-        image, alpha = _draw_nothing(c, options, colors.shape[-1], backgrounds, drawn_from)
+        image, alpha = _draw_nothing(inputs, probe, options)
         info |= {"means2d": probe, "radii": torch.zeros(c, n, dtype=torch.int32)}
         return image, alpha, info
-    images, alphas, centres, radii = [], [], [], []
-    for i in range(c):
-        image, alpha, mean2d, radius = _Rasterize.apply(
-            means,
-            quats,
-            scales,
-            covars,
-            opacities,
-            colors[i] if per_camera else colors,
-            viewmats[i],
-            None if backgrounds is None else backgrounds[i],
-            probe[i],
-            probe.absgrad[i] if absgrad else None,
-            Ks[i],
-            options,
-        )
-        images.append(image)
-        alphas.append(alpha)
-        centres.append(mean2d)
-        radii.append(radius)
-    drawn_at = torch.stack(centres)
+    read = _keep_read(inputs, options.sh_degree)
+    views = [_draw_picture(read, probe, i, options) for i in range(c)]
+    images, alphas, centres, radii = map(torch.stack, zip(*views, strict=True))
     if means2d is None:
-        probe.data.copy_(drawn_at)
-        drawn_at = probe
-    info |= {"means2d": drawn_at, "radii": torch.stack(radii)}
-    return torch.stack(images), torch.stack(alphas), info
+        probe.data.copy_(centres)
+        centres = probe
+    info |= {"means2d": centres, "radii": radii}
+    return images, alphas, info
+
+
+def _make_probe(inputs: _Inputs) -> torch.Tensor:
+    """Return a leaf that every camera reads, so that autograd fills its .grad."""
+    tensors = *inputs.gaussians.values(), inputs.viewmats
+    learns = torch.is_grad_enabled() and any(tensor.requires_grad for tensor in tensors)
+    return torch.zeros(len(inputs.viewmats), len(inputs.means), 2, requires_grad=learns)
+
+
+def _keep_read(inputs: _Inputs, sh_degree: int | None) -> _Inputs:
+    """Return the parts that are read: coefficients up to the degree, and covars' upper triangles (N, 6)."""
+    colors, covars = inputs.colors, inputs.covars
+    if sh_degree is not None:
+        colors = colors[..., : (sh_degree + 1) ** 2, :]
+    if covars is not None:
+        upper, right = np.triu_indices(3)
+        covars = covars[:, upper, right]
+    return replace(inputs, colors=colors, covars=covars)
+
+
+def _draw_picture(inputs: _Inputs, probe: torch.Tensor, i: int, options: _Options) -> tuple:
+    """Draw what camera i sees."""
+    colors = inputs.colors
+    per_camera = colors.ndim == (3 if options.sh_degree is None else 4)
+    return _Rasterize.apply(
+        inputs.means,
+        inputs.quats,
+        inputs.scales,
+        inputs.covars,
+        inputs.opacities,
+        colors[i] if per_camera else colors,
+        inputs.viewmats[i],
+        None if inputs.backgrounds is None else inputs.backgrounds[i],
+        probe[i],
+        probe.absgrad[i] if options.drawing["absgrad"] else None,
+        inputs.Ks[i],
+        options,
+    )
 
 
 def _whole(name: str, value) -> int:
@@ -204,9 +224,11 @@ def _whole(name: str, value) -> int:
     return number
 
 
-def _draw_nothing(cameras: int, options: _Options, channels: int, backgrounds, drawn_from) -> tuple:
+def _draw_nothing(inputs: _Inputs, probe: torch.Tensor, options: _Options) -> tuple:
     """Pictures without a Gaussian: backgrounds, no depth, alpha 0. Their inputs get gradient 0."""
+    cameras, channels, backgrounds = len(inputs.viewmats), inputs.colors.shape[-1], inputs.backgrounds
     size = (cameras, options.height, options.width)
+    drawn_from = (*inputs.gaussians.values(), inputs.quats, inputs.scales, inputs.viewmats, probe)
     none = sum(tensor.reshape(-1)[:0].sum().to("cpu", torch.float32) for tensor in drawn_from if tensor is not None)
     planes = []
     if options.with_color:
@@ -231,7 +253,33 @@ class _Options:
     drawing: dict[str, Any]
 
 
-def _require_shapes(n, c, gaussians, viewmats, Ks, backgrounds, sh_degree) -> None:
+def _require_options(render_mode: str, rasterize_mode: str, sparse_grad: bool, positive: dict[str, float]) -> None:
+    if render_mode not in RENDER_MODES or rasterize_mode not in ("classic", "antialiased"):
+        raise DataFormatError(
+            f"render_mode '{render_mode}' is not one of {list(RENDER_MODES)}, or rasterize_mode '{rasterize_mode}' "
+            "is neither 'classic' nor 'antialiased'"
+        )
+    if sparse_grad:
+        raise DataFormatError("rasterize has dense gradients; call it with sparse_grad=False")
+    for name, value in positive.items():
+        if not value > 0:
+            raise DataFormatError(f"'{name}' is {value}; it must be > 0")
+
+
+def _require_inputs(inputs: _Inputs, means2d, sh_degree: int | None, *, check_finite: bool) -> None:
+    _require_shapes(inputs, sh_degree)
+    if check_finite:
+        for name, tensor in inputs.gaussians.items():
+            require_finite(name, tensor.detach().cpu().numpy())
+    if inputs.covars is not None and (inputs.quats is not None or inputs.scales is not None):
+        raise DataFormatError("'covars' stands instead of 'quats' and 'scales'; give None for these")
+    probed = len(inputs.viewmats), len(inputs.means), 2
+    if means2d is not None and tuple(means2d.shape) != probed:
+        raise DataFormatError(f"'means2d' has shape {tuple(means2d.shape)}, expected {probed}")
+
+
+def _require_shapes(inputs: _Inputs, sh_degree: int | None) -> None:
+    n, c, gaussians, backgrounds = len(inputs.means), len(inputs.viewmats), inputs.gaussians, inputs.backgrounds
     expected = {
         "means": (n, 3),
         "quats": (n, 4),
@@ -241,7 +289,7 @@ def _require_shapes(n, c, gaussians, viewmats, Ks, backgrounds, sh_degree) -> No
         "viewmats": (c, 4, 4),
         "Ks": (c, 3, 3),
     }
-    for name, tensor in (gaussians | {"viewmats": viewmats, "Ks": Ks}).items():
+    for name, tensor in (gaussians | {"viewmats": inputs.viewmats, "Ks": inputs.Ks}).items():
         if name in expected and (tensor is None or tuple(tensor.shape) != expected[name]):
             shape = None if tensor is None else tuple(tensor.shape)
             raise DataFormatError(f"'{name}' has shape {shape}, expected {expected[name]}")

@@ -50,7 +50,7 @@ def test_listed_effects_cost_and_others_do_not(effect, stage):
 def test_too_large_is_refused_with_advice(tmp_path):
     huge = replace(DEMO, domain=replace(DEMO.domain, resolution=2048))
     with pytest.raises(GofError, match=r"lower domain\.resolution from 2048 to") as error:
-        machine.refuse_if_too_large(huge, tmp_path)
+        machine.require_machine_for(huge, tmp_path)
     advice = int(str(error.value).split(" to ")[1].split()[0])
     assert (
         predicted(replace(DEMO, domain=replace(DEMO.domain, resolution=advice))).memory_mb
@@ -76,7 +76,7 @@ def test_an_estimate_is_given_of_what_does_not_fit_here(tmp_path, monkeypatch, c
 def test_full_disk_is_seen_before_it_is_full(tmp_path, monkeypatch):
     monkeypatch.setattr("shutil.disk_usage", lambda _: type("usage", (), {"free": 1000})())
     with pytest.raises(GofError, match="choose another output folder"):
-        machine.refuse_if_too_large(DEMO, tmp_path)
+        machine.require_machine_for(DEMO, tmp_path)
 
 
 TRUE = replace(machine.REFERENCE, start=1.5, bake_power=1.2, sample_per_cell=3e-8)

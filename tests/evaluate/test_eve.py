@@ -17,13 +17,13 @@ from gof.core.gaussians import TransientGaussians
 from gof.core.rotations import rotation_matrices
 from gof.dataset import Dataset
 from gof.evaluate import evaluate
+from gof.evaluate.alarms import too_good
 from gof.evaluate.dve_frame import dve
 from gof.evaluate.emission import FlameGrid
 from gof.evaluate.eve import ClipPlaces, score_eve
 from gof.evaluate.scores import EveFigures, Scores
 from gof.evaluate.sequence import dve_sequence
 from gof.evaluate.settled import against_motion, settle
-from gof.evaluate.suite_board import too_good
 from gof.evaluate.visible import DRAWN, Visible, opacity_per_metre, pairs_plain
 from gof.render.rasterizer import MIN_ALPHA
 from tests.evaluate.analytic import Analytic, Sequence, make_gaussians

@@ -10,11 +10,12 @@ from scipy import stats
 
 from gof.core.errors import DataFormatError
 from gof.core.records import read_record, write_record
+from gof.evaluate.alarms import too_good
 from gof.evaluate.eddy_time import EddyTime
 from gof.evaluate.leaderboard import EvaluatedResult
 from gof.evaluate.method import AboutMethod
 from gof.evaluate.scores import Agreement, EveFigures, FrameScore, PictureScore, Scores
-from gof.evaluate.suite_board import Figure, ScoredScene, SuiteBoard, board, difference, too_good
+from gof.evaluate.suite_board import Figure, ScoredScene, SuiteBoard, board, difference
 from gof.evaluate.training_curve import TrainingCurve
 from gof.look.boards import marks_of, remark, suite_html, suite_markdown
 from gof.on_cpu.launch import LossRecorder

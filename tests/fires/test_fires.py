@@ -10,7 +10,7 @@ import pytest
 
 from gof.core.errors import DataFormatError, MissingDependencyError
 from gof.dataset import Dataset
-from gof_benchmark.fires import FOLDER, SPLITS, __main__, check_seal, fires, making
+from gof_benchmark.fires import FOLDER, SPLITS, __main__, fires, making, require_seal
 from gof_benchmark.fires.twins import Traits, differences, nearest, traits, traits_by_name
 from gof_blender.pure import spec as scene_spec
 from tests.blender.runs import TOY
@@ -38,14 +38,14 @@ def test_a_clip_ends_before_its_grids_do(fire):
 
 def test_the_test_specs_are_those_that_were_sealed():
     subprocess.run(["sha256sum", "--check", "--strict", "SHA256SUMS"], cwd=FOLDER / "test", check=True)
-    check_seal(FOLDER / "test")
+    require_seal(FOLDER / "test")
 
 
 @pytest.mark.parametrize("change", ["a number", "a new fire", "one less"])
 def test_a_change_of_a_test_spec_is_refused_by_name(tmp_path, change):
     folder = tmp_path / "test"
     shutil.copytree(FOLDER / "test", folder)
-    check_seal(folder)
+    require_seal(folder)
     path = folder / "jet.json"
     if change == "a number":
         path.write_text(path.read_text().replace("3.2", "3.3"))

@@ -11,7 +11,7 @@ import pytest
 from gof.core.errors import DataFormatError
 from gof.core.fields import VelocityField
 from gof.dataset import Dataset, DatasetDescription
-from gof.look.charts import COLOURS
+from gof.look.drawing import COLOURS
 from gof_benchmark.fires import how_real
 from gof_benchmark.fires.flames import flame_of
 from gof_benchmark.fires.measures import (

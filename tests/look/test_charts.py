@@ -13,9 +13,8 @@ import pytest
 
 from gof.core.errors import GofError
 from gof.evaluate.scores import AroundScore, FrameScore
-from gof.look import charts
+from gof.look import charts, drawing
 from gof.look.charts import (
-    COLOURS,
     Point,
     accuracy_chart,
     around_chart,
@@ -24,6 +23,7 @@ from gof.look.charts import (
     line_chart,
     stream_chart,
 )
+from gof.look.drawing import COLOURS
 from tests.look.printed import curves, marks, texts
 
 RISING = [(1.0, 10.0, "few"), (10.0, 100.0, "more"), (100.0, 1000.0, "")]
@@ -247,14 +247,14 @@ def test_every_colour_of_a_chart_has_one_for_dark_pages():
     body = svg.partition("</style>")[2]
     for colour in set(re.findall(r"#[0-9a-f]{6}\b", body)) - {charts.FRONT}:
         assert body.count(colour) == body.count(f"var(--{colour[1:]}, {colour})")
-        assert f"--{colour[1:]}: {charts.DARK[colour]}" in svg
+        assert f"--{colour[1:]}: {drawing.DARK[colour]}" in svg
 
     def luminance(colour):
         parts = np.array([int(colour[i : i + 2], 16) / 255 for i in (1, 3, 5)])
         return np.where(parts <= 0.04045, parts / 12.92, ((parts + 0.055) / 1.055) ** 2.4) @ (0.2126, 0.7152, 0.0722)
 
-    for light, dark in charts.DARK.items():
-        if light != charts.GRID:  # WCAG 2, 1.4.11: graphics have a contrast of 3 to their ground
+    for light, dark in drawing.DARK.items():
+        if light != drawing.GRID:  # WCAG 2, 1.4.11: graphics have a contrast of 3 to their ground
             assert 1.05 / (luminance(light) + 0.05) > 3 and (luminance(dark) + 0.05) / 0.05 > 3  # on black
 
 

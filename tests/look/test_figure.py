@@ -16,8 +16,8 @@ from gof.core.errors import GofError
 from gof.core.gaussians import TransientGaussians
 from gof.dataset import Dataset
 from gof.evaluate.screen_motion import ScreenVelocity, sideways_velocity
-from gof.look.charts import DPI
 from gof.look.comparison import Moment, comparison, fire_removal, largest_errors, subject
+from gof.look.drawing import DPI
 from gof.look.images import ramp
 from gof.look.modalities import Modalities, Sources, modalities, training_frame
 from gof.look.pages import flat, in_words, page_pictures

@@ -15,13 +15,11 @@ from gof_benchmark.solvers.openfoam.case import (
     burner_areas,
     draught,
     edges,
-    named,
-    render,
     write_case,
     write_control,
-    write_dictionary,
     write_fields,
 )
+from gof_benchmark.solvers.openfoam.dictionaries import named, render, write_dictionary
 from gof_benchmark.solvers.openfoam.foam_fire import FIRES, FoamBurner, FoamFire, find_fire, growing
 from tests.solvers.conftest import toy_fire
 

@@ -12,56 +12,10 @@ from typing import Any, Literal
 import numpy as np
 
 from gof.core.errors import DataFormatError
-from gof.core.files import atomic_path
 from gof_benchmark.solvers.openfoam import chemistry
-from gof_benchmark.solvers.openfoam.chemistry import AMBIENT_K, AMBIENT_PA, OXYGEN_IN_AIR
+from gof_benchmark.solvers.openfoam.chemistry import AMBIENT_K, AMBIENT_PA, OXYGEN_IN_AIR, Hydrocarbon
+from gof_benchmark.solvers.openfoam.dictionaries import named, render, unnamed, write_dictionary
 from gof_benchmark.solvers.openfoam.foam_fire import FoamBurner, FoamFire, Vector
-
-END = "// * //\n"  # OpenFOAM's own files end in a line like this; a file that was cut off lacks it
-
-
-def render(value: Any, indent: int = 0) -> str:
-    """Return a value as OpenFOAM reads it: dict -> {...}, sequence -> (...), bool -> yes/no; text stands as it is."""
-    pad = "    " * indent
-    if isinstance(value, dict):
-        return f"{pad}{{\n{render_entries(value, indent + 1)}{pad}}}\n"
-    if isinstance(value, bool):
-        return "yes" if value else "no"
-    if isinstance(value, list | tuple | np.ndarray):
-        return f"({' '.join(render(v) for v in value)})"
-    if isinstance(value, float):
-        return f"{value:.10g}"
-    return str(value)
-
-
-def render_entries(entries: dict[str, Any], indent: int = 0) -> str:
-    """Return the entries of a dictionary, one a line (or a block)."""
-    pad = "    " * indent
-    lines = []
-    for key, value in entries.items():
-        if isinstance(value, dict):
-            lines.append(f"{pad}{key}\n{render(value, indent)}")
-        else:
-            lines.append(f"{pad}{key} {render(value)};\n")
-    return "".join(lines)
-
-
-def named(entries: dict[str, dict]) -> str:
-    """Return a list of named dictionaries, `( name { ... } ... )`, as blockMesh's boundary and createPatch want it."""
-    return "(\n" + "".join(f"{name}\n{render(value)}" for name, value in entries.items()) + ")"
-
-
-def unnamed(entries: list[dict]) -> str:
-    """Return a list of dictionaries without names, `( { ... } ... )`."""
-    return "(\n" + "".join(render(value) for value in entries) + ")"
-
-
-def write_dictionary(path: Path, entries: dict[str, Any], kind: str = "dictionary") -> None:
-    """Write a file of entries under the header OpenFOAM asks for; `kind` is its class, for example volScalarField."""
-    header = {"FoamFile": {"version": "2.0", "format": "ascii", "class": kind, "object": path.name}}
-    with atomic_path(path) as temporary:
-        temporary.write_text(render_entries(header) + "\n" + render_entries(entries) + "\n" + END, encoding="ascii")
-
 
 GRAVITY = 9.81
 SIDES = {"west": (-1, 0), "east": (1, 0), "south": (0, -1), "north": (0, 1)}  # outward normals
@@ -167,22 +121,7 @@ def constants(fire: FoamFire) -> dict[str, dict[str, Any]]:
     """Return the gas and the way it burns, mixes and radiates: the files of `constant`."""
     gas = fire.gas
     return {
-        "thermophysicalProperties": {
-            "thermoType": {
-                "type": "hePsiThermo",
-                "mixture": "singleStepReactingMixture",
-                "transport": "sutherland",
-                "thermo": "janaf",
-                "energy": "sensibleEnthalpy",
-                "equationOfState": "perfectGas",
-                "specie": "specie",
-            },
-            "inertSpecie": "N2",
-            "fuel": gas.species,
-            "chemistryReader": "foamChemistryReader",
-            "foamChemistryFile": '"<constant>/reactions"',
-            "foamChemistryThermoFile": '"<constant>/gases"',
-        },
+        "thermophysicalProperties": _thermophysical(gas),
         "reactions": chemistry.reactions(gas),
         "gases": chemistry.thermodynamics(gas),
         "chemistryProperties": {
@@ -208,21 +147,7 @@ def constants(fire: FoamFire) -> dict[str, dict[str, Any]]:
                 "kEqnCoeffs": {"Ck": 0.05, "Ce": 1.048},
             },
         },
-        "radiationProperties": {
-            "radiation": "on",
-            "radiationModel": "fvDOM",
-            "fvDOMCoeffs": {"nPhi": 2, "nTheta": 2, "maxIter": 1, "tolerance": 0.1},
-            "solverFreq": 20,
-            "absorptionEmissionModel": "greyMeanAbsorptionEmission",
-            "greyMeanAbsorptionEmissionCoeffs": {
-                "lookUpTableFileName": "none",
-                "EhrrCoeff": fire.radiating_share,
-            }
-            | chemistry.absorption(gas),
-            "scatterModel": "none",
-            "sootModel": "none",
-            "transmissivityModel": "none",
-        },
+        "radiationProperties": _radiation(fire),
         "boundaryRadiationProperties": {'".*"': {"type": "lookup", "emissivity": 1.0, "transmissivity": 0.0}},
         # fireFoam can also rain, pyrolyse and wet walls; all of it is off.
         "additionalControls": {"solvePrimaryRegion": True},
@@ -236,6 +161,43 @@ def constants(fire: FoamFire) -> dict[str, dict[str, Any]]:
                 "infoOutput": False,
             }
         },
+    }
+
+
+def _thermophysical(gas: Hydrocarbon) -> dict[str, Any]:
+    return {
+        "thermoType": {
+            "type": "hePsiThermo",
+            "mixture": "singleStepReactingMixture",
+            "transport": "sutherland",
+            "thermo": "janaf",
+            "energy": "sensibleEnthalpy",
+            "equationOfState": "perfectGas",
+            "specie": "specie",
+        },
+        "inertSpecie": "N2",
+        "fuel": gas.species,
+        "chemistryReader": "foamChemistryReader",
+        "foamChemistryFile": '"<constant>/reactions"',
+        "foamChemistryThermoFile": '"<constant>/gases"',
+    }
+
+
+def _radiation(fire: FoamFire) -> dict[str, Any]:
+    return {
+        "radiation": "on",
+        "radiationModel": "fvDOM",
+        "fvDOMCoeffs": {"nPhi": 2, "nTheta": 2, "maxIter": 1, "tolerance": 0.1},
+        "solverFreq": 20,
+        "absorptionEmissionModel": "greyMeanAbsorptionEmission",
+        "greyMeanAbsorptionEmissionCoeffs": {
+            "lookUpTableFileName": "none",
+            "EhrrCoeff": fire.radiating_share,
+        }
+        | chemistry.absorption(fire.gas),
+        "scatterModel": "none",
+        "sootModel": "none",
+        "transmissivityModel": "none",
     }
 
 

@@ -25,8 +25,9 @@ from gof.core.records import read_record, write_record
 from gof.host.processes import run, start
 from gof.host.terminal import progress_bar
 from gof_benchmark.solvers.grids import FireGrids
-from gof_benchmark.solvers.openfoam.case import END, draught, write_case, write_control, write_fields
+from gof_benchmark.solvers.openfoam.case import draught, write_case, write_control, write_fields
 from gof_benchmark.solvers.openfoam.chemistry import species_of
+from gof_benchmark.solvers.openfoam.dictionaries import END
 from gof_benchmark.solvers.openfoam.fields import add_to_internal, grids_of
 from gof_benchmark.solvers.openfoam.foam_fire import FoamFire
 

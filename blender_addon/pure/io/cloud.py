@@ -146,7 +146,7 @@ def _of_file(path: Path, clock: CloudTiming, step: int) -> GaussianCloud:
             arrays, whole = results.of_ply(ply)
             return GaussianCloud(**arrays, datum=whole.datum, emissive=whole.emissive)
         n, values = len(ply.vertex), ply.splats()
-        ply.refuse_unread()
+        ply.require_read()
         still = {"velocity": np.zeros((n, 3)), "t_mu": np.zeros(n), "t_sigma": np.full(n, np.inf)}
         return GaussianCloud(**values, **still, dynamic=np.zeros(n, bool))
 
@@ -173,5 +173,5 @@ def _state(path: Path, step: int) -> dict[str, np.ndarray]:
     if not len(ply.vertex):
         raise DataFormatError(f"{path}: holds 0 points; remove it from the sequence")
     values = ply.splats()
-    ply.refuse_unread()
+    ply.require_read()
     return values

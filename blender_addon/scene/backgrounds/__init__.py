@@ -19,7 +19,7 @@ def light(collection, location, watts: float, size: float, colour, aim=(0.0, 0.6
     data.energy, data.size, data.color = watts, size, colour
     lamp = bpy.data.objects.new("Light", data)
     lamp.location = location
-    x, y, z = (there - here for there, here in zip(location, aim, strict=True))
+    x, y, z = (at - to for at, to in zip(location, aim, strict=True))
     lamp.rotation_euler = (math.atan2(math.hypot(x, y), z), 0.0, math.atan2(y, x) + math.pi / 2)
     collection.objects.link(lamp)
 

@@ -29,6 +29,19 @@ CHARTS = (
     ((0.38, 0.36, 0.30), (0.22, 0.05, 0.04), (0.04, 0.05, 0.08), (0.30, 0.26, 0.18), (0.08, 0.12, 0.16)),
 )
 
+FLASKS = (  # m from the fire
+    (-0.5, 0.24),
+    (-0.38, 0.05),
+    (-0.62, -0.1),
+    (-0.33, 0.28),
+    (-0.8, 0.2),
+    (0.36, 0.2),
+    (0.5, 0.05),
+    (0.42, -0.14),
+    (0.62, 0.26),
+    (0.82, 0.0),
+)
+
 
 def build(spec: SceneSpec, collection: bpy.types.Collection) -> None:
     rng = np.random.default_rng([spec.seed, 2])
@@ -232,7 +245,7 @@ def _desk(rng, collection, x: float, y: float, oak, steel) -> None:
 
 def _bench(fire: Burner, top: float, rng, collection, oak, steel) -> None:
     """Add the demonstration bench under the domain, with the burner and apparatus out of the flame's reach."""
-    x, y, z = fire.position
+    x, y, _ = fire.position
     tiles = material.tiles(
         "Bench Tiles",
         ((0.30, 0.30, 0.28), (0.13, 0.16, 0.17)),
@@ -243,27 +256,39 @@ def _bench(fire: Burner, top: float, rng, collection, oak, steel) -> None:
         stains=0.3,
     )
     if top > 0.2:
-        meshes.box("Bench Top", (1.9, 0.8, 0.05), collection, location=(x, y, top - 0.026), material=tiles)
+        _add_cabinet((x, y, top), rng, collection, oak, steel, tiles)
+    _add_burner(fire, top, collection, steel)
+    _add_flasks((x, y, top), rng, collection)
+
+
+def _add_cabinet(location, rng, collection, oak, steel, tiles) -> None:
+    """Add the bench's top, at this location, and three drawers under it."""
+    x, y, top = location
+    meshes.box("Bench Top", (1.9, 0.8, 0.05), collection, location=(x, y, top - 0.026), material=tiles)
+    meshes.box(
+        "Bench Front", (1.8, 0.7, top - 0.12), collection, location=(x, y, (top - 0.05) / 2 + 0.02), material=oak
+    )
+    for offset in (-0.6, 0.0, 0.6):
         meshes.box(
-            "Bench Front", (1.8, 0.7, top - 0.12), collection, location=(x, y, (top - 0.05) / 2 + 0.02), material=oak
+            "Drawer",
+            (0.5, 0.02, 0.16),
+            collection,
+            rng.uniform(0, 9, 2),
+            location=(x + offset, y - 0.36, top - 0.18),
+            material=oak,
         )
-        for offset in (-0.6, 0.0, 0.6):
-            meshes.box(
-                "Drawer",
-                (0.5, 0.02, 0.16),
-                collection,
-                rng.uniform(0, 9, 2),
-                location=(x + offset, y - 0.36, top - 0.18),
-                material=oak,
-            )
-            meshes.lathe(
-                "Knob",
-                [(0.0, 0.0), (0.02, 0.0), (0.02, 0.02), (0.0, 0.025)],
-                collection,
-                12,
-                location=(x + offset, y - 0.385, top - 0.18),
-                material=steel,
-            )
+        meshes.lathe(
+            "Knob",
+            [(0.0, 0.0), (0.02, 0.0), (0.02, 0.02), (0.0, 0.025)],
+            collection,
+            12,
+            location=(x + offset, y - 0.385, top - 0.18),
+            material=steel,
+        )
+
+
+def _add_burner(fire: Burner, top: float, collection, steel) -> None:
+    x, y, z = fire.position
     radius = fire.radius
     nozzle = z + fire.half_height
     burner = [
@@ -277,20 +302,12 @@ def _bench(fire: Burner, top: float, rng, collection, oak, steel) -> None:
     meshes.lathe(
         "Burner", [(r, h - top) for r, h in burner], collection, 32, location=(x, y, top), material=steel, smooth=True
     )
-    for index, (dx, dy) in enumerate(
-        (
-            (-0.5, 0.24),
-            (-0.38, 0.05),
-            (-0.62, -0.1),
-            (-0.33, 0.28),
-            (-0.8, 0.2),
-            (0.36, 0.2),
-            (0.5, 0.05),
-            (0.42, -0.14),
-            (0.62, 0.26),
-            (0.82, 0.0),
-        )
-    ):
+
+
+def _add_flasks(location, rng, collection) -> None:
+    """Add bottles of reagents around this location."""
+    x, y, top = location
+    for index, (dx, dy) in enumerate(FLASKS):
         paint = material.print_work(
             f"Reagent {index}", COVERS[index % 6], (0.42, 0.40, 0.34), (0.02, 0.02, 0.03), (0.2, 0.07)
         )

@@ -111,7 +111,7 @@ def read_result(path: str | Path, options: ImportOptions | None = None) -> Impor
     options, sidecar = (options, None) if options else with_sidecar(path, ImportOptions())
     name = detect(source)
     try:
-        _refuse_unused(name, options)
+        _require_used(name, options)
         imported = replace(METHODS[name].read(source, options), flame_only=options.flame_only)
         if sidecar is not None:
             imported.notes.append(in_words(sidecar, options))
@@ -130,7 +130,7 @@ def _as_light(gaussians: MovingGaussians) -> MovingGaussians:
     return replace(gaussians, emissive=True)
 
 
-def _refuse_unused(name: str, options: ImportOptions) -> None:
+def _require_used(name: str, options: ImportOptions) -> None:
     unused = [FLAGS[field] for field in options.given() if field not in METHODS[name].OPTIONS]
     if unused:
         raise DataFormatError(

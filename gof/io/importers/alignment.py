@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from gof.core.cameras import FLIP, names_by_pictures
-from gof.core.colmap import Poses, check_poses, name_model, read_colmap
+from gof.core.colmap import Poses, name_model, read_colmap, require_rigid_poses
 from gof.core.errors import DataFormatError, GofError
 from gof.core.files import read_json
 
@@ -125,7 +125,7 @@ def read_cameras(path: Path) -> dict[str, np.ndarray]:
             f"({type(e).__name__}: {e})"
         ) from e
     for name, pose in found:
-        check_poses({name: pose}, path)
+        require_rigid_poses({name: pose}, path)
     names = [name for name, _ in found]
     if len(set(names)) < len(names):
         twice = next(name for name in names if names.count(name) > 1)

@@ -109,7 +109,7 @@ def _vanilla_facts(content: dict, path: Path) -> dict:
     spec = content.get("model_spec") or {}
     if not isinstance(spec, dict):
         raise DataFormatError(f"{path}: 'model_spec' is no table")
-    ftgs.refuse_variants(
+    ftgs.require_no_variants(
         {name: spec.get(name, content.get(name)) for name in ftgs.VANILLA if name in {**content, **spec}}, path
     )
     facts = {k: content[k] for k in ("n_frames", "use_velocity") if k in content}

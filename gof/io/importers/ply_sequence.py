@@ -65,7 +65,7 @@ def read(source: Source, options: ImportOptions) -> Imported:
 
 def _state(path: Path) -> dict[str, np.ndarray]:
     ply = Ply.read(path)
-    ply.refuse_unread()
+    ply.require_read()
     return ply.splats()
 
 

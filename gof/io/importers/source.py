@@ -116,7 +116,7 @@ class Source:
             np.dtype,
             *dtypes,
         ]
-        _check_unpacked_size(self.path)
+        _require_unpacked_size(self.path)
         try:
             with torch.serialization.safe_globals(allowed):
                 return torch.load(self.path, map_location="cpu", weights_only=True)
@@ -200,7 +200,7 @@ def require_unit(times: np.ndarray, options: ImportOptions, path: Path) -> None:
     )
 
 
-def _check_unpacked_size(path: Path) -> None:
+def _require_unpacked_size(path: Path) -> None:
     """torch.save packs nothing: an archive that unpacks to more than its size is no work of its own."""
     try:
         if not zipfile.is_zipfile(path):

@@ -11,7 +11,7 @@ import numpy as np
 
 from gof.core.errors import DataFormatError
 from gof.core.motion import Motion, State
-from gof.core.ply import Ply, activate_scale, exp, quaternions, refuse_activated, require_rows, sigmoid
+from gof.core.ply import Ply, activate_scale, exp, quaternions, require_raw, require_rows, sigmoid
 from gof.io.importers.source import Imported, ImportOptions, Source
 
 OPTIONS = ("time_unit_s", "time_zero_s")
@@ -58,7 +58,7 @@ def _state(ply: Ply, unit: float, zero_s: float, lite: bool):
     rotation, turn = ply.columns(*(f"rot_{i}" for i in range(4))), ply.columns(*(f"omega_{i}" for i in range(4)))
     logits, sizes = ply.columns("opacity"), ply.columns("scale_0", "scale_1", "scale_2")
     require_rows(~np.isnan(logits), "opacity", "a number", ply.path)
-    refuse_activated(sizes, logits[:, 0], ply.path)
+    require_raw(sizes, logits[:, 0], ply.path)
     peak, scale = sigmoid(logits), activate_scale(sizes, ply.path)
     color = ply.columns("f_dc_0", "f_dc_1", "f_dc_2") if lite else np.full(place.shape, 0.5)
     for name, values in (("position", place), ("trbf_center", centre), ("motion", np.hstack([m1, m2, m3]))):

@@ -74,17 +74,17 @@ def _look_over(path: Path) -> None:
 
     left, known = [path], set[Path]()
     while left:
-        here = left.pop()
-        is_layer = here == path or (here.suffix.lower() in SUFFIXES and here.is_file())
-        if here in known or not is_layer:
+        file = left.pop()
+        is_layer = file == path or (file.suffix.lower() in SUFFIXES and file.is_file())
+        if file in known or not is_layer:
             continue  # what is not there, OpenUSD names
-        known.add(here)
+        known.add(file)
         try:
-            usd_crate.check(here)
+            usd_crate.check(file)
         except DataFormatError as e:
-            raise e if here == path else DataFormatError(f"refers to {here}, which {e}") from e
-        layer = Sdf.Layer.FindOrOpen(str(here))
-        names = [name for found in UsdUtils.ExtractExternalReferences(str(here)) for name in found]
+            raise e if file == path else DataFormatError(f"refers to {file}, which {e}") from e
+        layer = Sdf.Layer.FindOrOpen(str(file))
+        names = [name for found in UsdUtils.ExtractExternalReferences(str(file)) for name in found]
         left += [Path(layer.ComputeAbsolutePath(name)) for name in names if layer is not None]
 
 

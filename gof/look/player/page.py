@@ -168,8 +168,8 @@ def share_page(
     setting = PageSetting.of(results, dataset)
     packed, agreement, truths = [], [], []
     with ThreadPoolExecutor(1) as beside:  # pictures are decoded and encoded without Python's lock
-        told = partial(progress, stage="pictures")
-        pictures = beside.submit(setting.content, results[0], pictures_mb, told)
+        pictures_progress = partial(progress, stage="pictures")
+        pictures = beside.submit(setting.content, results[0], pictures_mb, pictures_progress)
         for number, result in enumerate(results):
             progress(number, len(results), stage=f"quantise {result.name}")
             truths.append(setting.truth_at(result.gaussians))

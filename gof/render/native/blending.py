@@ -13,14 +13,13 @@ from numba.extending import overload
 from gof.render.bins import BLOCK, LOG2_255
 from gof.render.blend import GEOMETRY, MIN_TRANSMITTANCE
 from gof.render.blend import LN_2 as LN_2_F64
+from gof.render.native.block_sums import MOMENTS, block_sums, store_plain_sums
 from gof.render.native.compiled import kernel, part
 from gof.render.native.lanes import (
-    MOMENTS,
     absolute,
     add_weighted,
     block_columns,
     block_rows,
-    block_sums,
     exp2,
     get,
     inner_product,
@@ -34,7 +33,6 @@ from gof.render.native.lanes import (
     spread,
     store,
     store_blocks,
-    store_plain_sums,
     take_next,
     weighted_sum,
     where,

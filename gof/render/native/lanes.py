@@ -39,7 +39,7 @@ class _LaneModel(models.PrimitiveModel):
 # ---------------------------------------------------------------- lane by lane
 
 
-def _use_wide_registers(builder) -> None:
+def use_wide_registers(builder) -> None:
     """Many CPUs have 512-bit registers that LLVM uses only on request."""
     for attribute in ('"prefer-vector-width"="512"', '"min-legal-vector-width"="512"'):
         set.add(builder.function.attributes, attribute)  # llvmlite's own `add` knows a few attributes only
@@ -58,7 +58,7 @@ def _constant(values) -> ir.Constant:
 
 def _vectors(context, builder, kinds, values) -> list:
     """Return the operands as vectors (a mask stays one)."""
-    _use_wide_registers(builder)
+    use_wide_registers(builder)
     return [
         value if isinstance(kind, _LaneType) else _spread(builder, context.cast(builder, value, kind, types.float32))
         for kind, value in zip(kinds, values, strict=True)
@@ -184,10 +184,10 @@ def exchange(typing, x, distance):
     if not isinstance(distance, types.IntegerLiteral):
         return None
     lanes = [k ^ distance.literal_value for k in range(LANES)]
-    return vector(x, distance), lambda context, builder, signature, values: _shuffle(builder, values[0], lanes)
+    return vector(x, distance), lambda context, builder, signature, values: shuffle(builder, values[0], lanes)
 
 
-def _shuffle(builder, x, lanes, y=None):
+def shuffle(builder, x, lanes, y=None):
     """Lanes of x, and of y from 16 on."""
     lanes = ir.Constant(ir.VectorType(I32, len(lanes)), list(lanes))
     return builder.shuffle_vector(x, ir.Constant(x.type, ir.Undefined) if y is None else y, lanes)
@@ -196,7 +196,7 @@ def _shuffle(builder, x, lanes, y=None):
 # ---------------------------------------------------------------- memory
 
 
-def _pointer(context, builder, kind, array, index):
+def pointer_to(context, builder, kind, array, index):
     return builder.gep(context.make_array(kind)(context, builder, array).data, [index])
 
 
@@ -220,7 +220,7 @@ def get(typing, array, index):
     """array[index] of an array that the kernel only reads."""
 
     def emit(context, builder, signature, values):
-        return _constant_load(builder, _pointer(context, builder, signature.args[0], *values))
+        return _constant_load(builder, pointer_to(context, builder, signature.args[0], *values))
 
     return array.dtype(array, types.int64), emit
 
@@ -230,8 +230,8 @@ def load(typing, array, index):
     """array[index : index + 16]."""
 
     def emit(context, builder, signature, values):
-        _use_wide_registers(builder)
-        return _load(builder, _pointer(context, builder, signature.args[0], *values), VECTOR)
+        use_wide_registers(builder)
+        return _load(builder, pointer_to(context, builder, signature.args[0], *values), VECTOR)
 
     return vector(array, types.int64), emit
 
@@ -241,7 +241,7 @@ def store(typing, array, index, x):
     """array[index : index + 16] = x."""
 
     def emit(context, builder, signature, values):
-        _store(builder, _pointer(context, builder, signature.args[0], *values[:2]), values[2])
+        _store(builder, pointer_to(context, builder, signature.args[0], *values[:2]), values[2])
         return context.get_dummy_value()
 
     return types.void(array, types.int64, x), emit
@@ -254,7 +254,7 @@ def store_words(typing, array, index, low, high):
     def emit(context, builder, signature, values):
         low, high = (builder.fptosi(x, INTEGERS) for x in values[2:])
         words = builder.or_(low, builder.shl(high, ir.Constant(INTEGERS, [16] * LANES)))
-        _store(builder, _pointer(context, builder, signature.args[0], *values[:2]), words)
+        _store(builder, pointer_to(context, builder, signature.args[0], *values[:2]), words)
         return context.get_dummy_value()
 
     return types.void(array, types.int64, low, high), emit
@@ -265,7 +265,7 @@ def prefetch(typing, array, index):
     """Ask for array[index], which will be wanted soon."""
 
     def emit(context, builder, signature, values):
-        pointer = _pointer(context, builder, signature.args[0], *values)
+        pointer = pointer_to(context, builder, signature.args[0], *values)
         kind = ir.FunctionType(ir.VoidType(), [pointer.type, I32, I32, I32])
         name = "llvm.prefetch.p0"
         function = builder.module.globals.get(name) or ir.Function(builder.module, kind, name)
@@ -280,7 +280,7 @@ def take_next(typing, counter):
     """counter[0] += 1 by one thread at a time, of those that share it; returns what it was before."""
 
     def emit(context, builder, signature, values):
-        pointer = _pointer(context, builder, signature.args[0], values[0], ir.Constant(ir.IntType(64), 0))
+        pointer = pointer_to(context, builder, signature.args[0], values[0], ir.Constant(ir.IntType(64), 0))
         return builder.atomic_rmw("add", pointer, ir.Constant(ir.IntType(64), 1), "monotonic")
 
     return types.int64(counter), emit
@@ -289,14 +289,14 @@ def take_next(typing, counter):
 def _block_rows(context, builder, kind, plane, index, stride):
     """Addresses of a block's four rows."""
     for _ in range(4):
-        yield _pointer(context, builder, kind, plane, index)
+        yield pointer_to(context, builder, kind, plane, index)
         index = builder.add(index, stride)
 
 
 # ---------------------------------------------------------------- one value per plane or channel
 
 
-def _elements(builder, tuple_):
+def elements(builder, tuple_):
     return [builder.extract_value(tuple_, k) for k in range(tuple_.type.count)]
 
 
@@ -321,13 +321,13 @@ def load_blocks(typing, planes, index, stride):
     kind = types.UniTuple(vector, len(planes))
 
     def emit(context, builder, signature, values):
-        _use_wide_registers(builder)
+        use_wide_registers(builder)
         out = []
-        for plane in _elements(builder, values[0]):
+        for plane in elements(builder, values[0]):
             pointers = _block_rows(context, builder, signature.args[0].dtype, plane, *values[1:])
             a, b, c, d = (_load(builder, pointer, QUAD) for pointer in pointers)
-            top, bottom = _shuffle(builder, a, range(8), b), _shuffle(builder, c, range(8), d)
-            out.append(_shuffle(builder, top, range(LANES), bottom))
+            top, bottom = shuffle(builder, a, range(8), b), shuffle(builder, c, range(8), d)
+            out.append(shuffle(builder, top, range(LANES), bottom))
         return _tuple_of(context, builder, kind, out)
 
     return kind(planes, types.int64, types.int64), emit
@@ -338,10 +338,10 @@ def store_blocks(typing, planes, index, stride, blocks):
     """Do the reverse of `load_blocks`."""
 
     def emit(context, builder, signature, values):
-        for plane, block in zip(_elements(builder, values[0]), _elements(builder, values[3]), strict=True):
+        for plane, block in zip(elements(builder, values[0]), elements(builder, values[3]), strict=True):
             pointers = _block_rows(context, builder, signature.args[0].dtype, plane, *values[1:3])
             for row, pointer in enumerate(pointers):
-                _store(builder, pointer, _shuffle(builder, block, range(4 * row, 4 * row + 4)))
+                _store(builder, pointer, shuffle(builder, block, range(4 * row, 4 * row + 4)))
         return context.get_dummy_value()
 
     return types.void(planes, types.int64, types.int64, blocks), emit
@@ -352,7 +352,7 @@ def scaled(typing, blocks, factor):
     """Each times the factor."""
 
     def emit(context, builder, signature, values):
-        products = [builder.fmul(block, values[1], flags=FLAGS) for block in _elements(builder, values[0])]
+        products = [builder.fmul(block, values[1], flags=FLAGS) for block in elements(builder, values[0])]
         return _tuple_of(context, builder, blocks, products)
 
     return blocks(blocks, vector), emit
@@ -377,9 +377,9 @@ def _three(values):
 
 def _with_numbers(context, builder, kind, blocks, array, index):
     """Return the blocks, and for each the number at its place in the array."""
-    blocks = _elements(builder, blocks)
+    blocks = elements(builder, blocks)
     pointers = (
-        _pointer(context, builder, kind, array, builder.add(index, ir.Constant(index.type, k)))
+        pointer_to(context, builder, kind, array, builder.add(index, ir.Constant(index.type, k)))
         for k in range(len(blocks))
     )
     return blocks, [_spread(builder, _constant_load(builder, pointer)) for pointer in pointers]
@@ -404,7 +404,7 @@ def inner_product(typing, blocks, others):
 
     def emit(context, builder, signature, values):
         total = _constant([0] * LANES)
-        for x, y in zip(*(_elements(builder, value) for value in values), strict=True):
+        for x, y in zip(*(elements(builder, value) for value in values), strict=True):
             total = builder.fadd(builder.fmul(x, y, flags=FLAGS), total, flags=FLAGS)
         return total
 
@@ -412,82 +412,3 @@ def inner_product(typing, blocks, others):
 
 
 # ---------------------------------------------------------------- sums over a block
-
-MOMENTS = {"1": 0, "x": 1, "xx": 2, "y": 4, "xy": 5, "yy": 8}  # lane of `block_sums` with sum d, sum d dx, ...
-PLAIN = (12, 3, 7, 11, 15, 9, 13, 6, 10, 14)  # lanes with the sums of the other blocks
-
-
-@intrinsic
-def block_sums(typing, d, dx, dy, others):
-    """Sum over the 16 pixels d times 1, dx, dx^2, dy, dx dy, dy^2, and up to ten other blocks; one sum per lane.
-
-    dx must be the same in every row, so rows are summed before anything is multiplied by it: four blocks fold into one
-    whose four quads hold the sums of their columns.
-    """
-
-    def emit(context, builder, signature, values):
-        _use_wide_registers(builder)
-        d, dx, dy, others = values
-        fold = _Folding(builder)
-        plain = [*_elements(builder, others), *[None] * 10][:10] if len(signature.args[3]) else [None] * 10
-        d_dy = fold.times(d, dy)
-        first = fold.rows(d, d_dy, fold.times(d_dy, dy), plain[0])
-        second = fold.times(first, dx)  # its quads 0 and 1 are moments; 2 and 3 are free for others
-        third = fold.times(second, dx)  # quad 0 is a moment
-        fourth = fold.rows(*plain[1:5])
-        second = fold.replaced(second, 8, fold.rows(None, None, *plain[5:7]))
-        third = fold.replaced(third, 4, fold.rows(None, *plain[7:10]))
-        return fold.columns(first, second, third, fourth)
-
-    return vector(d, dx, dy, others), emit
-
-
-@intrinsic
-def store_plain_sums(typing, arrays, index, sums):
-    """arrays[k][index] = sums[PLAIN[k]]."""
-
-    def emit(context, builder, signature, values):
-        for array, lane in zip(_elements(builder, values[0]), PLAIN, strict=False):
-            place = _pointer(context, builder, signature.args[2], values[2], ir.Constant(values[1].type, lane))
-            builder.store(builder.load(place), _pointer(context, builder, signature.args[0].dtype, array, values[1]))
-        return context.get_dummy_value()
-
-    return types.void(arrays, types.int64, sums), emit
-
-
-class _Folding:
-    """Sums of vectors by halves: what costs is one shuffle or two and an addition, for two vectors at a time."""
-
-    HALVES = [*range(8), *range(16, 24)], [*range(8, 16), *range(24, 32)]
-    QUADS = [k for q in (0, 8, 16, 24) for k in range(q, q + 4)], [k for q in (4, 12, 20, 28) for k in range(q, q + 4)]
-
-    def __init__(self, builder):
-        self.builder = builder
-
-    def times(self, x, y):
-        return self.builder.fmul(x, y, flags=FLAGS)
-
-    def replaced(self, x, start, y):
-        """x with the lanes of y from `start` on; None changes nothing."""
-        return x if y is None else _shuffle(self.builder, x, [*range(start), *range(16 + start, 32)], y)
-
-    def rows(self, a, b, c, d):
-        """Quads a, b, c, d: the sums of each one's columns. None is nothing; all None give None."""
-        return self._pair(self._pair(a, b, *self.HALVES), self._pair(c, d, *self.HALVES), *self.QUADS)
-
-    def columns(self, a, b, c, d):
-        """Lane 4 q + 0, 1, 2, 3: the sum of quad q of a, b, c, d."""
-        near = [self._near(1), self._near(2)]
-        return self._pair(self._pair(a, b, *near[0]), self._pair(c, d, *near[0]), *near[1])
-
-    def _near(self, distance):
-        low = [k // (2 * distance) * 2 * distance + k % distance + 16 * (k // distance % 2) for k in range(LANES)]
-        return low, [k + distance for k in low]
-
-    def _pair(self, x, y, low, high):
-        """Lanes `low` plus lanes `high` of x and y together."""
-        if x is None and y is None:
-            return None
-        x, y = y if x is None else x, x if y is None else y
-        shuffled = [_shuffle(self.builder, x, lanes, y) for lanes in (low, high)]
-        return self.builder.fadd(*shuffled, flags=FLAGS)

@@ -78,6 +78,82 @@ def moments(image, height, stride, mean, square):
             store(square, row * stride + x, _along(down_square, x))
 
 
+@part
+def _sum_columns(down, kept, at, truth, row, height, stride):
+    """Write a row's windowed sums down the columns; the window's rows of the picture begin at `at`."""
+    down_mean, down_square, down_product = down
+    for x in range(0, stride, LANES):
+        a, aa, ab = _down(kept, at, truth, row, height, stride, x)
+        store(down_mean, x + REACH, a)
+        store(down_square, x + REACH, aa)
+        store(down_product, x + REACH, ab)
+
+
+@part
+def _derive_ssim(derivatives, down, truths, weight, weight_at, row, stride, part_ssim):
+    """Write the derivatives of a row's SSIM with respect to its three moments; returns what the row costs, by lanes."""
+    d_mean, d_square, d_product = derivatives
+    down_mean, down_square, down_product = down
+    _, truth_mean, truth_square = truths
+    total = spread(np.float32(0))
+    for x in range(0, stride, LANES):
+        at = row * stride + x
+        mu_x, mu_y, w = _along(down_mean, x), load(truth_mean, at), load(weight, weight_at + x) * part_ssim
+        a1, a2 = mu_x * mu_y * 2.0 + C1, (_along(down_product, x) - mu_x * mu_y) * 2.0 + C2
+        b1 = mu_x * mu_x + mu_y * mu_y + C1
+        b2 = (_along(down_square, x) - mu_x * mu_x) + (load(truth_square, at) - mu_y * mu_y) + C2
+        r1, r2 = ratio(np.float32(1), b1), ratio(np.float32(1), b2)
+        ssim = a1 * a2 * r1 * r2
+        total = total + (w - w * ssim)
+        store(d_mean, x + REACH, w * -2.0 * (mu_y * (a2 - a1) * r1 * r2 + mu_x * ssim * (r2 - r1)))
+        store(d_square, x + REACH, w * ssim * r2)
+        store(d_product, x + REACH, w * -2.0 * a1 * r1 * r2)
+    return total
+
+
+@part
+def _blur_along(rings, slot, derivatives, stride):
+    """Write the derivatives, blurred along the row, into their rings."""
+    d_mean, d_square, d_product = derivatives
+    b_mean, b_square, b_product = rings
+    for x in range(0, stride, LANES):
+        store(b_mean, slot + x, _along(d_mean, x))
+        store(b_square, slot + x, _along(d_square, x))
+        store(b_product, slot + x, _along(d_product, x))
+
+
+@part
+def _make_gradient(line, rings, slot, truth, weight, weight_at, row, stride, part_ssim, part_square):
+    """Turn a row of the picture into its gradient, whose window begins at `slot`; returns what L1 and squares cost."""
+    b_mean, b_square, b_product = rings
+    part_l1 = np.float32(1) - part_ssim
+    total = spread(np.float32(0))
+    for x in range(0, stride, LANES):
+        g_mean = g_square = g_product = spread(np.float32(0))
+        for k in range(SPAN):
+            at = slot + k * stride + x
+            g_mean = g_mean + load(b_mean, at) * W[k]
+            g_square = g_square + load(b_square, at) * W[k]
+            g_product = g_product + load(b_product, at) * W[k]
+        a, b, w = load(line, x), load(truth, row * stride + x), load(weight, weight_at + x)
+        difference = a - b
+        squared = difference * part_square
+        total = total + w * (absolute(difference) * part_l1 + difference * squared)
+        sign = where(b < a, 1.0, where(a < b, spread(np.float32(-1)), 0.0))
+        slope = w * (sign * part_l1 + squared * 2.0)
+        store(line, x, g_mean + a * g_square * 2.0 + b * g_product + slope)
+    return total
+
+
+@part
+def _added(x, lanes):
+    store(lanes, 0, x)
+    total = 0.0
+    for k in range(LANES):
+        total += lanes[k]
+    return total
+
+
 @kernel
 def l1_ssim_rows(
     begin,
@@ -103,12 +179,12 @@ def l1_ssim_rows(
     height = len(totals)
     ring = SPAN * stride
     kept = np.zeros(2 * ring, np.float32)  # rows of the picture, then zeros
-    down, down_square, down_product = _row_of(stride), _row_of(stride), _row_of(stride)
-    d_mean, d_square, d_product = _row_of(stride), _row_of(stride), _row_of(stride)
+    truths = truth, truth_mean, truth_square
+    down = _row_of(stride), _row_of(stride), _row_of(stride)
+    derivatives = _row_of(stride), _row_of(stride), _row_of(stride)
     blurred = np.zeros((3, 2 * ring), np.float32)  # rows of those, blurred along
-    b_mean, b_square, b_product = blurred[0], blurred[1], blurred[2]
+    rings = blurred[0], blurred[1], blurred[2]
     line, lanes = np.empty(stride, np.float32), np.empty(LANES, np.float32)
-    part_l1 = np.float32(1) - part_ssim
     for taken in range(max(begin - 2 * REACH, 0), stop + 2 * REACH):
         slot = taken % SPAN * stride
         if taken < height:
@@ -121,34 +197,15 @@ def l1_ssim_rows(
         slot = row % SPAN * stride
         if max(begin - REACH, 0) <= row < min(stop + REACH, height):
             at = (row - REACH) % SPAN * stride
-            for x in range(0, stride, LANES):
-                a, aa, ab = _down(kept, at, truth, row, height, stride, x)
-                store(down, x + REACH, a)
-                store(down_square, x + REACH, aa)
-                store(down_product, x + REACH, ab)
-            total = spread(np.float32(0))
-            for x in range(0, stride, LANES):
-                at = row * stride + x
-                mu_x, mu_y, w = _along(down, x), load(truth_mean, at), load(weight, row * weight_stride + x) * part_ssim
-                a1, a2 = mu_x * mu_y * 2.0 + C1, (_along(down_product, x) - mu_x * mu_y) * 2.0 + C2
-                b1 = mu_x * mu_x + mu_y * mu_y + C1
-                b2 = (_along(down_square, x) - mu_x * mu_x) + (load(truth_square, at) - mu_y * mu_y) + C2
-                r1, r2 = ratio(np.float32(1), b1), ratio(np.float32(1), b2)
-                ssim = a1 * a2 * r1 * r2
-                total = total + (w - w * ssim)
-                store(d_mean, x + REACH, w * -2.0 * (mu_y * (a2 - a1) * r1 * r2 + mu_x * ssim * (r2 - r1)))
-                store(d_square, x + REACH, w * ssim * r2)
-                store(d_product, x + REACH, w * -2.0 * a1 * r1 * r2)
+            _sum_columns(down, kept, at, truth, row, height, stride)
+            total = _derive_ssim(derivatives, down, truths, weight, row * weight_stride, row, stride, part_ssim)
             if begin <= row < stop:
                 totals[row] += _added(total, lanes)
-            for x in range(0, stride, LANES):
-                store(b_mean, slot + x, _along(d_mean, x))
-                store(b_square, slot + x, _along(d_square, x))
-                store(b_product, slot + x, _along(d_product, x))
+            _blur_along(rings, slot, derivatives, stride)
         else:
-            for rows in (b_mean, b_square, b_product):
+            for rows in rings:
                 _clear(rows, slot, stride)
-        for rows in (b_mean, b_square, b_product):
+        for rows in rings:
             _twice(rows, slot, ring, stride)
 
         row = taken - 2 * REACH
@@ -156,32 +213,12 @@ def l1_ssim_rows(
             # The picture's row may have left its ring: it is read again.
             line[:width] = image[row * width : (row + 1) * width]
             line[width:] = 0
-            total, slot = spread(np.float32(0)), (row - REACH) % SPAN * stride
-            for x in range(0, stride, LANES):
-                g_mean = g_square = g_product = spread(np.float32(0))
-                for k in range(SPAN):
-                    at = slot + k * stride + x
-                    g_mean = g_mean + load(b_mean, at) * W[k]
-                    g_square = g_square + load(b_square, at) * W[k]
-                    g_product = g_product + load(b_product, at) * W[k]
-                a, b, w = load(line, x), load(truth, row * stride + x), load(weight, row * weight_stride + x)
-                difference = a - b
-                squared = difference * part_square
-                total = total + w * (absolute(difference) * part_l1 + difference * squared)
-                sign = where(b < a, 1.0, where(a < b, spread(np.float32(-1)), 0.0))
-                slope = w * (sign * part_l1 + squared * 2.0)
-                store(line, x, g_mean + a * g_square * 2.0 + b * g_product + slope)
+            slot = (row - REACH) % SPAN * stride
+            total = _make_gradient(
+                line, rings, slot, truth, weight, row * weight_stride, row, stride, part_ssim, part_square
+            )
             totals[row] += _added(total, lanes)
             gradient[row * width : (row + 1) * width] = line[:width]
-
-
-@part
-def _added(x, lanes):
-    store(lanes, 0, x)
-    total = 0.0
-    for k in range(LANES):
-        total += lanes[k]
-    return total
 
 
 class NativeTarget:
