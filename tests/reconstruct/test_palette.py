@@ -68,6 +68,7 @@ def test_red_that_a_camera_presses_together_is_not_green():
     palette = find_palette(replace(burning, image=image, plate=plate))
     green = palette.find(np.array([[0.8, 1.0, 0.3], [0.1, 1.0, 0.1]]))
     assert (green[:, 0] >= green[:, 1]).all(), "soot is never greener than yellow"
+    assert palette.held and not find_palette(burning).held
 
 
 @pytest.mark.parametrize("share", [0.1, 1.0])
@@ -75,6 +76,7 @@ def test_a_fire_with_salts_may_be_green(share):
     copper = (0.15, 1.0, 0.45)
     palette = find_palette(clip(*[copper] * int(10 * share), *[ORANGE] * (10 - int(10 * share))))
     assert np.abs(palette.find(np.array([of_light(copper)])) - of_light(copper)).max() < 0.03
+    assert not palette.held
 
 
 def test_green_becomes_what_burns():
