@@ -82,7 +82,7 @@ def _name_of(name: str, number: int) -> str:
 def chapters_from(path: Path) -> list[Path]:
     """Return the files of a recording from this one on: itself, and the chapters behind it in its folder.
 
-    A link is followed where nothing lies behind its own name. What is no file has no chapters.
+    A link is followed where nothing lies behind its own name. A path that is no file has none.
 
     Raises:
         DataFormatError: as `following`.

@@ -1,7 +1,7 @@
 """One camera's recording, read as one video: its file, and the chapters in which it goes on, one after the other.
 
 Every chapter's first frame comes one frame after the last of the chapter before: the camera films on while it changes
-files. Each file has a clock of its own, on which its pictures and its sound lie; `Recording.begins_s` joins them.
+files. Each file has a clock of its own, on which its pictures and its sound lie; `OpenRecording.begins_s` joins them.
 """
 
 from __future__ import annotations
@@ -26,21 +26,21 @@ ONE_RATE = 0.01  # relative: by which the stated rates of one recording's chapte
 
 
 @contextmanager
-def opened(path: Path) -> Iterator[Recording]:
+def opened(path: Path) -> Iterator[OpenRecording]:
     """Provide a recording, from this file on.
 
     Raises:
         DataFormatError: no such file; OpenCV would read another track than the film; a chapter is missing, unreadable,
             or not of the same size, rate, codec or rotation.
     """
-    recording = Recording(chapters_from(path))
+    recording = OpenRecording(chapters_from(path))
     try:
         yield recording
     finally:
         recording.close()
 
 
-class Recording:
+class OpenRecording:
     """A recording that is being read; pictures come as stored, whatever the rotation tag.
 
     Attributes:
