@@ -20,6 +20,7 @@ from gof.capture.sound_clock import NoSoundClock, SoundLag, find_lag
 from gof.capture.sync import nearest_frames
 from gof.capture.times import Clock, FrameTimesFile, SyncedVideo, VideoTimes
 from gof.core.errors import GofError
+from gof.footage.chapters import chapters_from
 from gof.footage.videos import VideoInfo, distinct_names, fingerprint, read_info, require_different
 from gof.host.processes import run
 
@@ -33,21 +34,36 @@ class NoSound(GofError):
     """A film has no sound that can be read."""
 
 
-def read_sound(path: Path) -> np.ndarray:
-    """Return (N,) float32: all channels' mean at RATE, from zero of the file's own clock on, on which its pictures lie.
+def read_sound(info: VideoInfo) -> np.ndarray:
+    """Return (N,) float32: all channels' mean at RATE, from the film's first frame on; that of the chapters in which it
+    goes on, each from that chapter's first frame on.
 
+    Args:
+        info: of a film that was read to its end.
     Raises:
         NoSound: no ffmpeg on this machine, or no sound that it can decode.
     """
+    parts = [_sound_of(file, own_s) for file, (_, own_s) in zip(chapters_from(info.path), info.begins_s, strict=True)]
+    starts = [round((begin_s - info.begins_s[0][0]) * RATE) for begin_s, _ in info.begins_s]
+    sound = np.zeros(max(start + len(part) for start, part in zip(starts, parts, strict=True)), np.float32)
+    for start, part in zip(starts, parts, strict=True):
+        sound[start : start + len(part)] += part  # one's end lies in the silence before the next one's first packet
+    if not sound.any():
+        raise NoSound(f"{info.path.name}: has no sound, or a silent one")
+    return sound
+
+
+def _sound_of(path: Path, begin_s: float) -> np.ndarray:
+    """Return that of one file, from a time of its own clock on. Raises NoSound: it has none that can be decoded."""
     if (program := shutil.which("ffmpeg")) is None:
         raise NoSound("the program ffmpeg, which decodes sound, is not on this machine's PATH")
-    command = [program, "-v", "error", "-nostdin", "-i", str(path.absolute()), "-vn", "-ac", "1"]
-    command += ["-af", "aresample=async=1:first_pts=0", "-ar", str(RATE), "-f", "f32le", "-"]
+    command = [program, "-v", "error", "-nostdin", "-copyts", "-i", str(path.absolute()), "-vn", "-ac", "1"]
+    from_there = f"atrim=start={begin_s:.6f},asetpts=PTS-{begin_s:.6f}/TB"
+    command += ["-af", f"{from_there},aresample=async=1:first_pts=0", "-ar", str(RATE), "-f", "f32le", "-"]
     done = run(command, stdout=PIPE, stderr=PIPE)
-    sound = np.frombuffer(done.stdout[: len(done.stdout) // 4 * 4], "<f4")
-    if done.returncode or not sound.any():
+    if done.returncode:
         raise NoSound(f"{path.name}: has no sound, or a silent one")
-    return sound
+    return np.frombuffer(done.stdout[: len(done.stdout) // 4 * 4], "<f4")
 
 
 NO_BOARD = "none"  # what times.json calls a board that is not there
@@ -84,7 +100,7 @@ def synchronise_without_board(videos: list[Path], rates: Sequence[float | None])
         notes.append("sound: not used, as --fps says that the films do not play at the rate at which they were filmed")
     else:
         try:
-            fits = by_sound(names, [read_sound(video) for video in videos])
+            fits = by_sound(names, [read_sound(info) for info in infos])
         except (NoSound, NoSoundClock) as e:
             notes.append(f"sound: {e}")
     try:
@@ -106,14 +122,14 @@ def synchronise_without_board(videos: list[Path], rates: Sequence[float | None])
 
 
 def _own_times(info: VideoInfo, rate: float | None) -> np.ndarray:
-    """Return (N,) s of the film's frames on its own clock, on which its sound lies too."""
+    """Return (N,) s of the film's frames from its first one on, as its sound is read."""
     if rate is not None and info.frames is not None:
         return np.arange(info.frames) / rate
     if info.stamps_s is None:
         raise GofError(f"{info.path}: pictures have neither sound nor time stamps; say their rate with --fps")
     if len(info.stamps_s) < 2 or not np.diff(info.stamps_s).min() > 0:
         raise GofError(f"{info.path}: its time stamps do not grow with every frame; say its true rate with --fps")
-    return info.stamps_s + info.start_s
+    return info.stamps_s - info.stamps_s[0]
 
 
 # ---- sound -----------------------------------------------------------------------------------------------------------

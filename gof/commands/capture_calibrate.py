@@ -16,7 +16,7 @@ from gof.commands.read import read_options
 from gof.core.errors import GofError
 from gof.core.records import write_record
 from gof.footage.lens import CamerasFile
-from gof.footage.videos import distinct_names, stated_frames, stored_frames
+from gof.footage.videos import chapter_lines, distinct_names, stated_frames, stored_frames
 from gof.host.options import require_number
 from gof.host.terminal import progress_bar
 
@@ -50,6 +50,8 @@ def main(argv: list[str]) -> int:
     require_number("--views", config.views, least=1)
     target = config.charuco.target()
     target.pattern()  # impossible sizes are refused before anything is read
+    for line in chapter_lines(config.footage):
+        print(line)
     cameras = []
     for name, path in zip(distinct_names(config.footage), config.footage, strict=True):
         found = calibrate_footage(name, path, target, config.views)

@@ -22,7 +22,7 @@ from gof.commands.everywhere import require_free, require_writable, write_figure
 from gof.commands.read import Microseconds, Rate, read_options
 from gof.core.errors import GofError
 from gof.core.records import write_record
-from gof.footage.videos import distinct_names, require_different
+from gof.footage.videos import chapter_lines, distinct_names, require_different
 from gof.host.options import require_all_positive, require_number, require_positive
 from gof.look.charts import frame_times_chart
 from gof.look.drawing import Chart
@@ -109,6 +109,8 @@ def find_clocks(config: SyncConfig) -> FrameTimesFile:
     decoding = options(config, row_time_us)
     names = distinct_names(config.videos)
     require_different(config.videos)
+    for line in chapter_lines(config.videos):
+        print(line)
     board = None if config.board == NO_BOARD else recognise(config.board, first_frames(config.videos))
     if board is None:
         return sync_without_board(config, decoding, names, folder, written)

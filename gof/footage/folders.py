@@ -6,6 +6,7 @@ from pathlib import Path
 
 from gof.core.errors import DataFormatError
 from gof.core.numbered import frame_of, is_hidden, number_files
+from gof.footage.chapters import without_later
 
 PICTURES = (".png", ".jpg", ".jpeg", ".tif", ".tiff", ".bmp")
 UNREAD = frozenset(
@@ -62,8 +63,9 @@ def loose_pictures(folder: Path) -> list[Path]:
 
 
 def videos_of_take(folder: Path) -> list[Path]:
-    """Return the videos of a folder that has one for each camera, by name; none where it also holds pictures."""
-    return [] if has_pictures(folder) else [f for f in _files_in(folder) if f.suffix.lower() in VIDEOS]
+    """Return the videos of a folder that has one for each camera, by name, of several chapters of one recording the
+    first; none where it also holds pictures."""
+    return [] if has_pictures(folder) else without_later([f for f in _files_in(folder) if f.suffix.lower() in VIDEOS])
 
 
 def has_pictures(folder: Path) -> bool:

@@ -9,19 +9,20 @@ from __future__ import annotations
 import hashlib
 import itertools
 import shlex
-from collections.abc import Callable, Iterable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 
 from gof.core.errors import DataFormatError
+from gof.footage.chapters import chapters_before, chapters_from
 from gof.footage.colour import UNKNOWN, Colour
-from gof.footage.containers import codes_fields, film_track, focal_35mm, made_at, video_tracks
+from gof.footage.containers import codes_fields, focal_35mm, made_at, video_tracks
 from gof.footage.defects import FrameChanges, find_combs
 from gof.footage.folders import PICTURES, UNREAD, loose_pictures, numbered_pictures, picture_files
 from gof.footage.pictures import read_picture, read_rotation
+from gof.footage.recording import opened, unreadable, usual_step
 
 DEEP_FORMATS = (b"Y1", b"Y3", b"Y4", b"G3", b"G4")  # FFmpeg's tags of deep pixels; their fourth byte is the bits
 ENDS = 1 << 20  # bytes at either end of a file that identify it
@@ -49,6 +50,9 @@ class VideoInfo:
         start_s: time of the first frame on the file's own clock; stamps_s count from it.
         two_fields: container or codec allow interlaced frames.
         repeated: numbers of the frames that show the one before again, see `gof.footage.defects`.
+        chapters: names of the files in which the recording lies, `path` first; none where `path` is all of it.
+        begins_s: time of the first frame of each chapter, on the clock of stamps_s and on its file's own; none of
+            folders, or when not read to the end.
         made_s: when the file says that it was made, s since 1970; None: it does not.
         focal_35mm: focal length for 35 mm film that the file states, mm; None: it does not.
     """
@@ -71,15 +75,20 @@ class VideoInfo:
     two_fields: bool = False
     colour: str = ""
     repeated: tuple[int, ...] = ()
+    chapters: tuple[str, ...] = ()
+    begins_s: tuple[tuple[float, float], ...] = ()
 
     @property
     def usual_step_s(self) -> float | None:
         """Usual time between neighbouring stamps: the mean of those near their median, as stamps may be rounded."""
-        if self.stamps_s is None or len(self.stamps_s) < 2:
-            return None
-        steps = np.diff(self.stamps_s)
-        middle = np.median(steps)
-        return float(steps[np.abs(steps - middle) <= 0.5 * middle].mean()) if middle > 0 else None
+        return None if self.stamps_s is None else usual_step(self.stamps_s)
+
+    @property
+    def duration_s(self) -> float | None:
+        """Time from the first frame to the end of the last one; as stated where the frames are not read."""
+        if self.stamps_s is not None and self.usual_step_s:
+            return float(self.stamps_s[-1] - self.stamps_s[0]) + self.usual_step_s
+        return self.stated_frames / self.stated_fps if self.stated_frames and self.stated_fps else None
 
     @property
     def breaks_off(self) -> bool:
@@ -112,16 +121,12 @@ def stored_frames(path: Path, in_time: bool = True) -> Iterator[np.ndarray]:
             yield cv2.cvtColor(read_picture(file), cv2.COLOR_BGR2RGB)
         return
     shown = colour_of(path).reader()
-    with _opened(path) as video:
+    with opened(path) as video:
         count = 0
-        while True:
-            ok, frame = video.read()
-            if not ok:
-                break
-            count += 1
+        for count, frame in enumerate(video.frames(), 1):  # noqa: B007 (count is used behind the loop)
             yield shown(frame)
         if not count:
-            raise _unreadable(path)
+            raise unreadable(path)
 
 
 def chosen_frames(path: Path, numbers: Iterable[int]) -> Iterator[np.ndarray]:
@@ -140,7 +145,7 @@ def chosen_frames(path: Path, numbers: Iterable[int]) -> Iterator[np.ndarray]:
             yield cv2.cvtColor(read_picture(files[number]), cv2.COLOR_BGR2RGB)
         return
     shown = colour_of(path).reader()
-    with _opened(path) as video:
+    with opened(path) as video:
         at = 0
         for number in numbers:
             while at <= number and video.grab():
@@ -161,36 +166,6 @@ def _require_length(path: Path, numbers: list[int], read: int, number: int | Non
         raise DataFormatError(f"{path}: has {read} frames, {numbers[-1] + 1} are wanted")
 
 
-@contextmanager
-def _opened(path: Path):
-    """Return the video, giving pictures as stored, whatever the rotation tag: OpenCV's versions differ in that."""
-    import cv2
-
-    if not path.is_file():
-        raise DataFormatError(f"{path}: no such video or folder of pictures")
-    _require_the_film_first(path)
-    video = cv2.VideoCapture(str(path))
-    try:
-        video.set(cv2.CAP_PROP_ORIENTATION_AUTO, 0)
-        yield video
-    finally:
-        video.release()
-
-
-def _require_the_film_first(path: Path) -> None:
-    """Raise DataFormatError: OpenCV would read another track than the film."""
-    tracks = video_tracks(path)
-    film = film_track(tracks)
-    if len(tracks) > 1 and film != 0:
-        each = "; ".join(f"{k + 1}: {track}" for k, track in enumerate(tracks))
-        which = "" if film else ", or another number"
-        copy = shlex.quote(str(path.with_name(f"{path.stem}_film{path.suffix}")))
-        raise DataFormatError(
-            f"{path}: has {len(tracks)} video tracks ({each}), and the first one, which is read, need not be the "
-            f"film. Take the film out: ffmpeg -i {shlex.quote(str(path))} -map 0:v:{film or 0} -c copy {copy}{which}"
-        )
-
-
 def _interlaced(path: Path, source: str) -> DataFormatError:
     if path.is_dir():
         return DataFormatError(
@@ -204,28 +179,21 @@ def _interlaced(path: Path, source: str) -> DataFormatError:
     )
 
 
-def _unreadable(path: Path) -> DataFormatError:
-    copy = shlex.quote(str(path.with_name(f"{path.stem}_again.mp4")))
-    return DataFormatError(
-        f"{path}: OpenCV reads no frame from it. Was it copied to its end? If a player shows it, re-encode it: ffmpeg "
-        f"-noautorotate -i {shlex.quote(str(path))} -fps_mode passthrough -c:v libx264 -crf 12 {copy}"
-    )
-
-
 # ---- which footage it is ---------------------------------------------------------------------------------------------
 
 
 def fingerprint(path: Path) -> str:
     """Sixteen hex digits that tell footage from other footage, wherever it lies and whatever it is called.
 
-    They come from a video's size, its first and its last MiB; or from the sizes of a folder's pictures, and its first
-    and last picture. Reading everything would take minutes for long films.
+    They come from a video's size, its first and its last MiB, or from the sizes of its chapters, and the first and last
+    one; or from the sizes of a folder's pictures, and its first and last picture. Reading everything would take minutes
+    for long films.
 
     Raises:
-        DataFormatError: no such file, a pipe or a device, no picture in the folder.
+        DataFormatError: no such file, a pipe or a device, no picture in the folder; see `chapters_from`.
     """
     path = Path(path)
-    files = picture_files(path) if path.is_dir() else [path]
+    files = picture_files(path) if path.is_dir() else chapters_from(path)
     for file in files:
         if not file.is_file():  # opening a pipe would wait for ever
             raise DataFormatError(f"{file}: no such {'picture' if path.is_dir() else 'video or folder of pictures'}")
@@ -240,19 +208,29 @@ def fingerprint(path: Path) -> str:
 
 def require_different(paths: Iterable[Path]) -> None:
     """Raise DataFormatError: one of these is not there or is a single picture; or the same footage is given twice,
-    perhaps as a copy."""
+    perhaps as a copy or by two chapters of one recording."""
     known: dict[str, Path] = {}
+    holders: dict[Path, Path] = {}
     for path in paths:
         if Path(path).suffix.lower() in {*PICTURES, *UNREAD} and not Path(path).is_dir():
             raise DataFormatError(f"{path}: is a single picture; give a video, or the folder of a camera's pictures")
         contents = fingerprint(path)
-        if Path(path).is_file() and not Path(path).stat().st_size:
-            raise DataFormatError(f"{path}: holds nothing; copy it from the camera again")
+        files = chapters_from(Path(path))
+        for file in files:
+            if file.is_file() and not file.stat().st_size:
+                raise DataFormatError(f"{file}: holds nothing; copy it from the camera again")
         if contents in known:
             other = known[contents]
             what = "is given twice" if path.samefile(other) else f"is the same footage as {other}"
             raise DataFormatError(f"{path}: {what}; give each camera's own")
         known[contents] = path
+        for file in files:
+            if (other := holders.setdefault(file.resolve(), path)) != path:
+                first = min(path, other, key=lambda given: len(chapters_before(given)[1]))
+                raise DataFormatError(
+                    f"{path}: is of one recording with {other}, by their names: one camera wrote both. Give only "
+                    f"{first.name} for this camera; what comes behind it is read with it"
+                )
 
 
 # ---- its own statements --------------------------------------------------------------------------------------------
@@ -264,7 +242,6 @@ def stated_info(path: Path) -> VideoInfo:
     Raises:
         DataFormatError: not a readable video, an empty folder, a broken picture.
     """
-    import cv2
 
     path = Path(path)
     height, width = next(iter(stored_frames(path))).shape[:2]
@@ -280,25 +257,21 @@ def stated_info(path: Path) -> VideoInfo:
             fingerprint=fingerprint(path),
             numbers=numbers,
         )
-    with _opened(path) as video:
-
-        def stated(name: str) -> float | None:
-            value = video.get(getattr(cv2, f"CAP_PROP_{name}"))
-            return value if np.isfinite(value) and value > 0 else None
-
-        frames = stated("FRAME_COUNT")
+    with opened(path) as video:
+        stated = video.stated
         return VideoInfo(
             path,
             width,
             height,
             stated("FPS"),
-            None if frames is None else round(frames),
+            video.stated_frames,
             round((stated("ORIENTATION_META") or 0) / 90) * 90 % 360,
             _bits(stated("CODEC_PIXEL_FORMAT")),
             fingerprint=fingerprint(path),
             pixel_aspect=(stated("SAR_NUM") or 1.0) / (stated("SAR_DEN") or 1.0),
             made_s=made_at(path),
             focal_35mm=focal_35mm(path),
+            chapters=tuple(file.name for file in video.files if len(video.files) > 1),
             colour=colour_of(path).name,
             two_fields=any(track.interlaced for track in video_tracks(path)[:1])
             or codes_fields(int(stated("FOURCC") or 0).to_bytes(4, "little"), _description(path)),
@@ -350,7 +323,6 @@ def read_info(path: Path, progress: Callable[[int, int], None] | None = None) ->
     Raises:
         DataFormatError: as `stated_info`; it is interlaced.
     """
-    import cv2
 
     info, changes = stated_info(path), FrameChanges()
     pairs = np.unique(np.linspace(0, max((info.stated_frames or LOOKED_AT) - 2, 0), LOOKED_AT).astype(int))
@@ -366,20 +338,19 @@ def read_info(path: Path, progress: Callable[[int, int], None] | None = None) ->
         info = replace(info, repeated=changes.repeated)
     else:
         stamps: list[float] = []
-        start = 0.0
-        with _opened(info.path) as video:
+        with opened(info.path) as video:
             while video.grab():
-                if not stamps and info.stated_fps:
-                    start = max(video.get(cv2.CAP_PROP_PTS), 0.0) / info.stated_fps
                 ok, picture = video.retrieve()
                 if ok:
                     changes.add(picture)
                 if ok and len(stamps) in wanted:
                     seen[len(stamps)] = picture
-                stamps.append(video.get(cv2.CAP_PROP_POS_MSEC) * 1e-3)
+                stamps.append(video.stamp_s)
                 if progress:
                     progress(len(stamps), max(len(stamps), info.stated_frames or 0))
+        start = video.begins_s[0][1] if stamps else 0.0
         info = replace(info, stamps_s=np.array(stamps), frames=len(stamps), start_s=start, repeated=changes.repeated)
+        info = replace(info, begins_s=tuple(video.begins_s))
         tracks = video_tracks(info.path)
         if info.stated_frames and not (tracks and tracks[0].frames):  # an estimate: the duration begins at zero
             info = replace(info, stated_frames=info.stated_frames - round(start * (info.stated_fps or 0.0)))
@@ -388,6 +359,30 @@ def read_info(path: Path, progress: Callable[[int, int], None] | None = None) ->
     if combs.shown or (info.two_fields and not combs.ruled_out):
         raise _interlaced(info.path, "as its pictures show" if combs.shown else "its file says")
     return info
+
+
+def chapters_in_words(info: VideoInfo) -> str | None:
+    """Return which chapters of a recording are read, and which are not; None where there is only one."""
+    number, before = chapters_before(info.path)
+    words = []
+    if info.chapters:
+        duration = "" if info.duration_s is None else f", {info.duration_s:.0f} s"
+        words.append(f"{len(info.chapters)} chapters, {_listed(info.chapters)}{duration}")
+    if number > 1:
+        left = f"{_listed(before)} before it {'are' if len(before) > 1 else 'is'}" if before else "what came before is"
+        words.append(f"begins with chapter {number} of its recording; {left} not read")
+    return f"{info.path.stem}: {'; '.join(words)}" if words else None
+
+
+def chapter_lines(paths: Iterable[Path]) -> list[str]:
+    """Return `chapters_in_words` of the footage that has several, by what its files state. Raises DataFormatError: they
+    cannot be one recording."""
+    several = [path for path in paths if len(chapters_from(path)) > 1 or chapters_before(path)[0] > 1]
+    return [words for path in several if (words := chapters_in_words(stated_info(path)))]
+
+
+def _listed(names: Sequence[str]) -> str:
+    return " and ".join([*([", ".join(names[:-1])] if len(names) > 1 else []), names[-1]])
 
 
 def stated_frames(path: Path) -> int | None:

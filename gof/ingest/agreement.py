@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import re
 import shlex
 from collections.abc import Sequence
-from pathlib import Path
 from typing import Literal
 
 import numpy as np
@@ -13,7 +11,7 @@ import numpy as np
 from gof.core.errors import DataFormatError, GofError
 from gof.core.numbered import missing_numbers, usual_step
 from gof.footage.lens import Turn
-from gof.footage.videos import VideoInfo
+from gof.footage.videos import VideoInfo, chapters_in_words
 
 MAX_MISSING = 0.1  # share of a folder's pictures that may be missing by their numbers
 CLOCKS_DIFFER_S = 60  # cameras' clocks are set by hand
@@ -74,49 +72,6 @@ def require_square_pixels(videos: list[VideoInfo]) -> None:
             )
 
 
-PART = re.compile(r"(?:G[HXLS]([0-9]{2})|(GOPR)|GP([0-9]{2}))([0-9]{4})", re.I)  # GX020001, GOPR0001, GP010001
-
-
-def part_of(path: Path) -> tuple[str, int] | None:
-    """Return which film a GoPro's file belongs to, and which part of it it is, from 1 on; None for other names."""
-    found = PART.fullmatch(path.stem)
-    if found is None:
-        return None
-    new, _, old, film = found.groups()
-    return (f"{path.stem[:2].upper()}{film}" if new else film, int(new or int(old or 0) + 1))
-
-
-def require_one_film_each(paths: list[Path]) -> None:
-    """Raise DataFormatError: two files of a folder are parts of one film by one camera."""
-    known: dict[tuple[Path, str], tuple[Path, int]] = {}
-    for path in paths:
-        if part := part_of(path):
-            other, number = known.setdefault((path.parent.resolve(), part[0]), (path, part[1]))
-            if other != path:
-                raise DataFormatError(
-                    f"{path}: is part {part[1]} of the film of which {other.name} is part {number}: one "
-                    "camera wrote both. Give each camera's own film; ffmpeg's concat joins parts"
-                )
-
-
-def _part_notes(videos: list[VideoInfo]) -> list[str]:
-    """Return a warning by the names of GoPros' files: a part that is not the first, or that goes on in another file."""
-    notes = []
-    for video in videos:
-        part = part_of(video.path)
-        if part is None:
-            continue
-        if part[1] > 1:
-            notes.append(f"{video.path.name}: is part {part[1]} of a longer film, by its name")
-        folder = video.path.parent
-        more = [
-            p.name for p in folder.iterdir() if part_of(p) == (part[0], part[1] + 1) and p.suffix == video.path.suffix
-        ]
-        if more:
-            notes.append(f"{video.path.name}: the film goes on in {more[0]}, which is not read")
-    return notes
-
-
 def _clock_notes(videos: list[VideoInfo]) -> list[str]:
     """Return the times at which the files began, by their own statement, where they differ."""
     notes = []
@@ -152,8 +107,9 @@ def require_whole(videos: list[VideoInfo], enough: bool) -> list[str]:
             continue
         counts = f"{video.frames} of the {video.stated_frames} frames that it states can be read"
         if video.breaks_off and not enough:
+            where = f" (in {video.chapters[-1]})" if video.chapters else ""
             raise DataFormatError(
-                f"{video.path}: breaks off: {counts}. Copy it from the camera again; to use what is there, give "
+                f"{video.path}: breaks off{where}: {counts}. Copy it from the camera again; to use what is there, give "
                 f"--frames {video.frames} or fewer"
             )
         notes.append(f"{video.path.name}: {counts}")
@@ -265,7 +221,7 @@ def _curve_note(video: VideoInfo) -> str:
 
 
 def other_notes(videos: list[VideoInfo], one_fov: bool) -> list[str]:
-    """Return what is no error and yet worth saying: HDR, other turns, sizes, pixels, parts or clocks."""
+    """Return what is no error and yet worth saying: HDR, other turns, sizes, pixels, chapters or clocks."""
     notes = [
         f"{video.path.name}: is HDR ({video.colour}) and is read as such: 203 cd/m2 are white, what is brighter is "
         "rolled off"
@@ -290,4 +246,5 @@ def other_notes(videos: list[VideoInfo], one_fov: bool) -> list[str]:
         f"{v.path.name}: its pixels are {v.pixel_aspect:.4g} times as wide as high; --cameras must say so in K"
         for v in stretched
     ]
-    return [*notes, *_part_notes(videos), *_clock_notes(videos)]
+    chapters = [words for video in videos if (words := chapters_in_words(video))]
+    return [*notes, *chapters, *_clock_notes(videos)]

@@ -21,7 +21,7 @@ from gof.footage.pictures import write_picture as save_picture
 from gof.footage.steadying import FrameCorrection
 from gof.footage.videos import VideoInfo, chosen_frames, read_info, require_different
 from gof.host.terminal import progress_bar
-from gof.ingest.agreement import other_notes, require_one_film_each, require_square_pixels, turns_by_tags
+from gof.ingest.agreement import other_notes, require_square_pixels, turns_by_tags
 from gof.ingest.focal import FEWEST_CAMERAS, ChosenLenses, LensSearch, require_findable, start_search
 from gof.ingest.frame_times import FrameTimes, Timing, read_frame_times
 from gof.ingest.place import Placed, place_cameras
@@ -131,7 +131,6 @@ class Footage:
         if cameras is not None and fov_deg is not None:
             raise GofError("give the intrinsics with either --cameras FILE or --fov DEGREES")
         require_different(videos)
-        require_one_film_each(videos)
         known = [] if cameras is None else read_cameras(cameras, videos)
         infos = [_read(video) for video in videos]
         if not known:
@@ -238,9 +237,12 @@ def _read(video: Path) -> VideoInfo:
         return read_info(video, update)
 
 
+UNSTATED = ("path", "stamps_s", "numbers", "begins_s")  # fields of VideoInfo that a dataset does not repeat
+
+
 def _described(info: VideoInfo) -> dict[str, Any]:
     """For dataset.json."""
-    stated = {f.name: getattr(info, f.name) for f in fields(info) if f.name not in ("path", "stamps_s", "numbers")}
+    stated = {f.name: getattr(info, f.name) for f in fields(info) if f.name not in UNSTATED}
     return {"name": info.path.name, **stated}
 
 

@@ -11,10 +11,11 @@ import numpy as np
 from gof.capture.boardless import synchronise_without_board
 from gof.capture.recognise import AUTO, BoardUnclear, first_frames, recognise
 from gof.core.errors import DataFormatError, GofError
+from gof.footage.chapters import chapters_before
 from gof.footage.flame_mask import flame_mask
 from gof.footage.lens import turned
 from gof.footage.steadying import FrameCorrection, look, steady
-from gof.footage.videos import VideoInfo, chosen_frames, read_info, require_different
+from gof.footage.videos import VideoInfo, chapters_in_words, chosen_frames, read_info, require_different
 from gof.ingest.agreement import TURN_OF_TAG, other_notes
 from gof.ingest.common_views import weakest_link
 from gof.ingest.over_time import LUMA, darkest
@@ -65,7 +66,9 @@ def look_over(videos: list[Path]) -> list[Finding]:
     infos = [read_info(video) for video in videos]
     looks = [of_camera(info) for info in infos]
     found = [finding for findings, _ in looks for finding in findings]
-    found += [Finding("files", "", "look", None, note) for note in other_notes(infos, False)]
+    whole = {chapters_in_words(info) for info in infos if chapters_before(info.path)[0] == 1}
+    notes = other_notes(infos, False)
+    found += [Finding("files", "", "good" if note in whole else "look", None, note) for note in notes]
     if len(videos) == 1:
         return found
     return [*found, _angle([plate for _, plate in looks], [info.path.name for info in infos]), clocks(videos)]

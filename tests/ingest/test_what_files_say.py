@@ -264,18 +264,6 @@ def test_single_pictures_and_single_frames_are_named(tmp_path, capsys):
     assert "0.png: is a single picture; give a video" in ask(capsys, tmp_path / "s0/0.png", tmp_path / "s1/0.png")
 
 
-def test_parts_of_one_film_are_no_two_cameras(tmp_path, capsys):
-    for names in (("GX010001.MP4", "GX020001.MP4"), ("GOPR0042.MP4", "GP010042.MP4")):
-        paths = [path.rename(tmp_path / name) for path, name in zip(rig(tmp_path), names, strict=True)]
-        assert f"{names[1]}: is part 2 of the film of which {names[0]} is part 1" in ask(capsys, *paths)
-    (tmp_path / "b").mkdir()
-    first = tmp_path / "GX010001.MP4"
-    second = write_video(tmp_path / "x.mp4", list(numbered(14))[2:]).rename(tmp_path / "b/GX020007.MP4")
-    notes = Footage.open([first, second], "auto", None, 60.0).notes
-    assert any("GX020007.MP4: is part 2 of a longer film" in note for note in notes)
-    assert any("GX010001.MP4: the film goes on in GX020001.MP4" in note for note in notes)
-
-
 def test_files_of_different_days_are_said(tmp_path):
     one, two = rig(tmp_path)
     zero = datetime(1904, 1, 1, tzinfo=timezone.utc)
