@@ -181,16 +181,18 @@ def main(argv: list[str] | None = None) -> None:
     filmed = [of_clip(folder, config.clip_rate_hz) for folder in folders]
     generated = [of_dataset(folder) for folder in config.pictures]
     print("| fire | pixels of other colours | texture, log10 rms | flicker, log10 rms |", "|---|---|---|---|", sep="\n")
-    for item in filmed:
-        print(f"| {item.name} (to the other filmed ones) |", *_cells(item, [o for o in filmed if o is not item]))
+    among = [distances(item, [other for other in filmed if other is not item]) for item in filmed]
+    for item, row in zip(filmed, among, strict=True):
+        print(f"| {item.name} (to the other filmed ones) |", *_cells(row))
     for item in generated:
-        print(f"| {item.name} |", *_cells(item, filmed))
+        print(f"| {item.name} |", *_cells(distances(item, filmed)))
+    print("| filmed fires, to each other |", *(f"{min(x):.2f} to {max(x):.2f} |" for x in zip(*among, strict=True)))
     if config.charts:
         draw(generated, filmed, config.charts)
 
 
-def _cells(item: Looks, others: list[Looks]) -> list[str]:
-    return [f"{value:.2f} |" if np.isfinite(value) else "- |" for value in distances(item, others)]
+def _cells(row: tuple[float, ...]) -> list[str]:
+    return [f"{value:.2f} |" if np.isfinite(value) else "- |" for value in row]
 
 
 if __name__ == "__main__":
