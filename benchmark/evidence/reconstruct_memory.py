@@ -19,8 +19,9 @@ import tyro
 
 from gof.dataset import Dataset
 from gof.host.processes import python_command
-from gof.reconstruct.memory import needed_for
-from gof.reconstruct.sanity import window_share
+from gof.reconstruct.forecast import ClipShape
+from gof.reconstruct.memory import needed_bytes
+from gof.reconstruct.methods import METHODS
 from gof.reconstruct.shrink import shrink
 
 STEPS = 120
@@ -52,8 +53,8 @@ def main(argv: list[str] | None = None) -> None:
     config = tyro.cli(Config, prog="python -m gof_benchmark.evidence.reconstruct_memory", args=argv)
     print("| longest side | Gaussians | voxels | predicted, MB | measured, MB | off |\n|---|---|---|---|---|---|")
     for side, gaussians, voxels in config.runs:
-        dataset = shrink(Dataset.open(config.dataset), side)
-        predicted = needed_for(dataset, gaussians, voxels, window_share(dataset))
+        clip = ClipShape.of(shrink(Dataset.open(config.dataset), side), METHODS["gof"])
+        predicted = needed_bytes(clip.training_px, clip.frames, gaussians, voxels, clip.window)
         measured = measured_bytes(config.dataset, side, gaussians, voxels)
         off = predicted / measured - 1
         print(f"| {side} | {gaussians} | {voxels} | {predicted / 1e6:.0f} | {measured / 1e6:.0f} | {off:+.0%} |")

@@ -7,7 +7,6 @@ import sys
 import psutil
 
 from gof.core.errors import GofError
-from gof.dataset import Dataset
 
 GB = 1e9
 # Bytes at the peaks of finding the flow field and of optimising, fitted to measured runs (notebook/reliability.md).
@@ -31,13 +30,6 @@ def needed_bytes(training_pixels: int, frames: int, gaussians: int, voxels: int,
         FIELD + FIELD_PIXEL * training_pixels + FIELD_VOXEL * hull,
         FITTING + (SEEN_PIXEL + WINDOW_PIXEL * window) * training_pixels + FITTING_VOXEL * hull + GAUSSIAN * gaussians,
     )
-
-
-def needed_for(dataset: Dataset, gaussians: int, voxels: int, window: float = 1.0) -> float:
-    """Return the same for a dataset, at the size that is reconstructed."""
-    frames = len(dataset.train_frames)
-    pixels = frames * sum(camera.width * camera.height for camera in dataset.cameras)
-    return needed_bytes(pixels, frames, gaussians, voxels, window)
 
 
 def in_words(needed: float) -> str:

@@ -17,16 +17,12 @@ from gof.core.time_left import LEAST_S, MachineLoad, Paces, TimeLeft, duration
 from gof.dataset import Dataset
 from gof.dataset.leaks import require_no_leaks, require_unleaked_work
 from gof.reconstruct import memory, sanity, stages
-from gof.reconstruct.density import MOST_GROWTH
-from gof.reconstruct.flow_prior import VOXELS
+from gof.reconstruct.forecast import ClipShape, expected_bytes, expected_parts
 from gof.reconstruct.heldout import HeldOut
-from gof.reconstruct.methods import METHODS, Method
+from gof.reconstruct.methods import METHODS
 from gof.reconstruct.optical_flow import flow_method
-from gof.reconstruct.presets import REST_S, seeing_s, step_ms
-from gof.reconstruct.run_inputs import uses_flow_prior
 from gof.reconstruct.settings import ReconstructionSettings, Until, require_stage
 from gof.reconstruct.shrink import shrink
-from gof.render.backend import kernels
 
 CROWDED = 1.3  # seconds of the clock for a CPU second, from which on a run says nothing of this machine's pace
 
@@ -72,10 +68,11 @@ def reconstruct(
         flow = flow_method(settings.flow, flow_weights)
         _require_motion(small)
         method, machine = METHODS[settings.method], MachineLoad.measured_now()
-        parts = expected_parts(small, settings, method)
+        clip = ClipShape.of(small, method)
+        parts = expected_parts(clip, settings)
         left = TimeLeft(Paces.known().expected_s(parts, machine))
         run = stages.ReconstructionRun(small, settings, method, flow, out, StageLog(out / "costs.json"), left)
-        _require_possible(run, anyway)
+        _require_possible(run, expected_bytes(clip, settings), anyway)
         if replaced:
             stages.remove_made(out)
         settings.claim(out)
@@ -111,25 +108,6 @@ def _require_motion(dataset: Dataset) -> None:
         )
 
 
-def expected_parts(dataset: Dataset, settings: ReconstructionSettings, method: Method) -> dict[str, float]:
-    """Return seconds on the machine of `gof.core.time_left` for each part of a reconstruction, by its bar's title.
-
-    Args:
-        dataset: at the size that is reconstructed.
-    """
-    frames, camera = len(dataset.train_frames), dataset.cameras[0]
-    picture = camera.width * camera.height
-    pixels = round((sanity.window_share(dataset) if method.windows else 1.0) * picture)
-    voxels = max(settings.voxels, VOXELS) if uses_flow_prior(settings) else settings.voxels
-    steps = {"optimise": settings.iterations}
-    if settings.scene == "gaussians":  # the still scene has its own steps
-        steps = {"background": stages.still_steps(settings)} | steps
-    native = kernels().name == "native"
-    each_ms = step_ms(settings.gaussians, frames, pixels, native, method.density_control, method.unseen > 0)
-    seeing = seeing_s(frames, frames * len(dataset.cameras) * picture, voxels)
-    return seeing | {part: count * each_ms / 1e3 for part, count in steps.items()} | {"rest": REST_S}
-
-
 def _learn(parts: dict[str, float], left: TimeLeft, before: MachineLoad) -> None:
     """Keep what the parts took over what was expected of them; other programs' share is the mean of two probes.
 
@@ -145,21 +123,18 @@ def _learn(parts: dict[str, float], left: TimeLeft, before: MachineLoad) -> None
     paces.keep()
 
 
-def _require_possible(run: stages.ReconstructionRun, anyway: bool) -> None:
+def _require_possible(run: stages.ReconstructionRun, needed: float, anyway: bool) -> None:
     """Say how long it will take and how much memory, and what is wrong or odd, before the time is spent.
 
-    Raises GofError: an input is impossible or the memory too small, and `anyway` is not set.
+    Args:
+        needed: bytes of memory.
+    Raises:
+        GofError: an input is impossible or the memory too small, and `anyway` is not set.
     """
-    settings = run.settings
-    gaussians = settings.gaussians * (2 if settings.scene == "gaussians" else 1)  # the still scene has as many again
-    if run.method.density_control:
-        gaussians += (MOST_GROWTH - 1) * settings.gaussians
-    window = sanity.window_share(run.dataset) if run.method.windows else 1.0
-    voxels = max(settings.voxels, VOXELS) if uses_flow_prior(settings) else settings.voxels
-    needed = memory.needed_for(run.dataset, gaussians, voxels, window)
+    seconds = sum(run.left.expected_s.values())
     print(
-        f"{settings.iterations} steps: about {duration(sum(run.left.expected_s.values()))} in all on this machine as "
-        f"busy as it is now, and {memory.in_words(needed)}",
+        f"{run.settings.iterations} steps: about {duration(seconds)} in all on this machine as busy as it is now, and "
+        f"{memory.in_words(needed)}",
         file=sys.stderr,
     )
     if len(run.dataset.cameras) == 1:

@@ -71,6 +71,11 @@ def enlarge(gaussians: TransientGaussians, dataset: Dataset) -> TransientGaussia
     return replace(gaussians, scale=wider.astype(np.float32))
 
 
+def fitting_px(width: int, height: int, longest_side: int) -> tuple[int, int]:
+    """Return width and height of a picture that is shrunk to at most `longest_side` pixels, where it is larger."""
+    factor = min(1.0, longest_side / max(width, height))
+    return max(1, round(width * factor)), max(1, round(height * factor))
+
+
 def _fitting(camera: Camera, longest_side: int) -> Camera:
-    factor = min(1.0, longest_side / max(camera.width, camera.height))
-    return camera.scaled(max(1, round(camera.width * factor)), max(1, round(camera.height * factor)))
+    return camera.scaled(*fitting_px(camera.width, camera.height, longest_side))

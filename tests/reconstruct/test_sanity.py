@@ -255,8 +255,8 @@ def test_memory_is_predicted(pixels, frames, gaussians, voxels, window, measured
     assert predicted / 2**20 == pytest.approx(measured, rel=0.15)
 
 
-def test_memory_that_is_not_there_is_refused(flame, capsys, monkeypatch):
-    needed = memory.needed_for(Dataset.open(flame), 1000, 24)
+def test_memory_that_is_not_there_is_refused(capsys, monkeypatch):
+    needed = memory.needed_bytes(15 * 3 * 96 * 48, 15, 1000, 24)
     memory.require(needed)
     assert capsys.readouterr().err == ""
     with pytest.raises(GofError, match="--max-size"):
