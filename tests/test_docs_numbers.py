@@ -108,6 +108,7 @@ NOT_AT_TOY_SIZE = {
     "noise_truth": "needs two fires baked by Blender; checks/test_motion.py tests its measures",
     "open_sockets": "runs every command, Blender's too",
     "ordinary_footage": "needs ffmpeg and the paper's clips",
+    "presets": "measures this machine by Blender; checks/test_presets.py tests its rows",
     "render_agreement": "has one size; Mitsuba draws it in minutes",
     "render_gpu": "needs an NVIDIA GPU",
     "render_opensplat": "compiles a library that users bring",
