@@ -1,4 +1,4 @@
-"""What a reconstruction takes, by the size of its clip and its settings alone: the time of its parts, and memory."""
+"""The cost of a reconstruction by the shape of its clip and its settings alone: time of its parts, and memory."""
 
 from __future__ import annotations
 
