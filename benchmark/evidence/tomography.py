@@ -2,7 +2,7 @@
 
     python -m gof_benchmark.evidence.tomography DATASET...
 
-Takes about 10 s a dataset.
+Takes about half a minute a dataset.
 
 Datasets with grids/flame.zarr. A handful of frames of each; no Gaussian is fitted. Columns: cosine and relative L2 of
 emission per voxel, extent along the middle camera's view over extent across it (result / truth), the share of light
@@ -35,10 +35,10 @@ from gof.reconstruct.methods import OURS
 from gof.reconstruct.observation import Observation, observe
 from gof.reconstruct.shrink import shrink
 from gof.reconstruct.tomography import find_compact_emission, find_emission
-from gof.reconstruct.unseen import imagine_views, unsaturated_light
+from gof.reconstruct.unseen import FlameLight, imagine_views, unsaturated_light
 from gof.reconstruct.voxels import FlameVoxels, carve
 
-LONGEST_SIDE, VOXELS, FRAMES = 320, 56, 4
+LONGEST_SIDE, VOXELS, FRAMES = 320, 108, 4  # voxels: of the light at `preview`
 PER_FRAME = ("frames", "time_s", "image", "intensity", "mask", "allowed", "flow", "delivered")  # of an observation
 BLUR = 0.4  # of a voxel, std-dev by which the truth is blurred before it is sampled at voxels' centres
 
@@ -167,7 +167,7 @@ def see_around(
 
 def score_around(case: TomographyCase, emission: np.ndarray) -> float:
     """Return the mean PSNR (dB) of the flame from the cameras around; nan without any."""
-    views = imagine_views(case.voxels, emission, case.observation, case.around) if case.seen else None
+    views = imagine_views(FlameLight(case.voxels, emission), case.observation, case.around) if case.seen else None
     if views is None:
         return float("nan")
     decibels = []

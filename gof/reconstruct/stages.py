@@ -44,7 +44,7 @@ from gof.reconstruct.settings import FILE as SETTINGS
 from gof.reconstruct.settings import ReconstructionSettings
 from gof.reconstruct.shrink import enlarge
 from gof.reconstruct.surroundings import Plates, StillScene, Surroundings
-from gof.reconstruct.unseen import find_compact_flame, imagine_views
+from gof.reconstruct.unseen import FlameLight, find_compact_flame, imagine_views
 from gof.reconstruct.windows import Windows
 from gof.render.backend import threads_for
 
@@ -167,9 +167,14 @@ def make_flow_field(run: ReconstructionRun, observation: Observation) -> FlowFie
 # ---- Seeds: the Gaussians that the optimisation starts from ----------------------------------------------------------
 
 
-def find_light(run: ReconstructionRun, observation: Observation, field: FlowField) -> np.ndarray | None:
-    """Return (F, V) the flame's light drawn together (`find_compact_flame`), where the method uses it."""
-    return find_compact_flame(field.voxels, observation) if run.method.unseen > 0 else None
+LIGHT_FINER = 1.5  # voxels of the light for each of the flow field's, along a side
+
+
+def find_light(run: ReconstructionRun, observation: Observation, field: FlowField) -> FlameLight | None:
+    """Return the flame's light drawn together, where the method uses it."""
+    if run.method.unseen <= 0:
+        return None
+    return find_compact_flame(observation, round(LIGHT_FINER * field.voxels.resolution.max()))
 
 
 def make_seeds(
@@ -177,7 +182,7 @@ def make_seeds(
     observation: Observation,
     still: TransientGaussians | None,
     field: FlowField,
-    light: np.ndarray | None,
+    light: FlameLight | None,
     held_out: HeldOut,
 ) -> TransientGaussians:
     """Return the Gaussians that the optimisation starts from; kept in OUT/seeds.npz. light: see `find_light`."""
@@ -185,7 +190,8 @@ def make_seeds(
     rng = np.random.default_rng(settings.seed)
     with run.log.measure("seeds") as figures:
         t_sigma = lifetime_s(field, dt) if method.seeding.short_lives else LIFETIME_FRAMES[1] * dt
-        seeds = sample_seeds(field, method.seeding, t_sigma, settings.gaussians, rng, light)
+        chances = None if light is None else light.pool(field.voxels)
+        seeds = sample_seeds(field, method.seeding, t_sigma, settings.gaussians, rng, chances)
         seeds = ablations.change_seeds(settings.ablation, seeds, rng).measured_from(run.dataset.datum)
         seeds.save(run.out / "seeds.npz", source="gof reconstruct: seeds before optimisation")
         figures.update(gaussians=len(seeds), t_sigma_s=round(t_sigma, 5))
@@ -202,7 +208,7 @@ def fit(
     observation: Observation,
     still: TransientGaussians | None,
     field: FlowField,
-    light: np.ndarray | None,
+    light: FlameLight | None,
     seeds: TransientGaussians,
     held_out: HeldOut,
 ) -> tuple[TransientGaussians, list[np.ndarray], Curve]:
@@ -227,7 +233,7 @@ def fit(
         if still is None
         else StillScene(still, windows.cameras(cameras), field.voxels)
     )
-    unseen = None if light is None else imagine_views(field.voxels, light, observation)
+    unseen = None if light is None else imagine_views(light, observation)
     checkpoint = _checkpoint(run)
     spent = read_spent(checkpoint)
     curve = CurveLog(run.out, resumed_s=spent.fitting_s if spent else None)

@@ -84,17 +84,24 @@ def find_compact_emission(
     """
     from scipy.ndimage import gaussian_filter  # here: it takes long to load
 
-    hull, views = _hull_and_views(voxels, intensity, mask)
-    emission = _find_emission(voxels, hull, views, True, iterations)
+    hull, _ = _hull_and_views(voxels, intensity, mask)
+    found = np.zeros(len(hull))
+    if not hull.any():
+        return found
+    part = voxels.only(hull)  # of a clip's voxels, most are dark in a frame
+    everywhere, views = _hull_and_views(part, intensity, mask)
+    emission = _find_emission(part, everywhere, views, True, iterations)
     if not emission.any():
-        return emission
+        return found
     for _ in range(turns):
-        emission = _maximise(turn_around(voxels, emission, hull), views, iterations)
-    cells, grid = tuple(voxels.index.T), np.zeros(voxels.resolution)
+        emission = _maximise(turn_around(part, emission, everywhere), views, iterations)
+    first = part.index.min(0)
+    cells, grid = tuple((part.index - first).T), np.zeros(part.index.max(0) - first + 1)
     for _ in range(iterations // 2):
         grid[cells] = _maximise(emission, views, 1) ** power
-        emission = hull * gaussian_filter(grid, smooth, mode="constant")[cells]
-    return _in_unit(emission, views)
+        emission = gaussian_filter(grid, smooth, mode="constant")[cells]
+    found[hull] = _in_unit(emission, views)
+    return found
 
 
 def turn_around(voxels: FlameVoxels, emission: np.ndarray, hull: np.ndarray) -> np.ndarray:
@@ -114,7 +121,7 @@ def turn_around(voxels: FlameVoxels, emission: np.ndarray, hull: np.ndarray) -> 
 
     def pool(values: np.ndarray) -> np.ndarray:
         sums = np.bincount(flame * size[1] + layer, values, size[0] * size[1]).reshape(size[:2])
-        return gaussian_filter1d(sums, POOLED, axis=1)
+        return gaussian_filter1d(sums, POOLED, axis=1, mode="constant")
 
     light = np.maximum(pool(emission), np.finfo(np.float64).tiny)
     middle = np.stack([pool(emission * place) / light for place in voxels.center[:, :2].T], -1)
@@ -178,10 +185,10 @@ def round_flame(voxels: FlameVoxels, emission: np.ndarray) -> np.ndarray:
         return np.bincount(column, values, shape[0] * shape[1]).reshape(shape)
 
     light = look(emission)
-    around = np.maximum(gaussian_filter(light, NEAR), np.finfo(np.float32).tiny)
-    middle = (gaussian_filter(look(emission * depth), NEAR) / around).ravel()[column]
+    around = np.maximum(gaussian_filter(light, NEAR, mode="constant"), np.finfo(np.float32).tiny)
+    middle = (gaussian_filter(look(emission * depth), NEAR, mode="constant") / around).ravel()[column]
     away = depth - middle if len(rays) > 1 else voxels.center[:, :2] @ ahead[:2] / np.hypot(*ahead[:2])
-    width = gaussian_filter(_inner_radius(light > OUTLINE * gaussian_filter(light, 2 * NEAR)), 1.0) / 2
+    width = gaussian_filter(_inner_radius(light > OUTLINE * gaussian_filter(light, 2 * NEAR, mode="constant")), 1.0) / 2
     away2 = (away / (np.maximum(width, 1) * voxels.voxel_size).ravel()[column]) ** 2
     return np.exp(-0.5 * np.minimum(away2, FAINTEST))
 

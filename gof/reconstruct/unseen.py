@@ -24,13 +24,13 @@ from gof.core.colour import srgb_to_linear
 from gof.host.threads import map_on_cores
 from gof.reconstruct.observation import Observation
 from gof.reconstruct.tomography import find_compact_emission
-from gof.reconstruct.voxels import FlameVoxels
+from gof.reconstruct.voxels import FlameVoxels, carve
 from gof.render.bins import BLOCK
 
 VIEWS = 12  # around the flame, one every 30 degrees; and one from above
 SATURATED, OFTEN = 0.95, 0.25  # linear light; of a flame's pixels, from which share on a channel tells too little
 THICKEST = 2e-3  # of the light that passes through: what is thicker is not told apart
-BLUR = 0.6  # px; voxels are points on a grid, and drawn on another one they would beat
+BLUR = 0.4  # px; voxels are points on a grid, and drawn on another one they would beat
 LEVELS = 48  # of the curve of light by thickness
 THIN, SURE = 0.1, 0.5  # of the usual thickness: below the first it tells nothing of its light, up to the second it does
 
@@ -81,30 +81,59 @@ class UnseenViews:
         return self.view(int(row[0]), int(rng.integers(len(self.cameras)))) if len(row) else None
 
 
-def find_compact_flame(voxels: FlameVoxels, observation: Observation) -> np.ndarray:
-    """Return (F, V) emission >= 0 of a clip's frames by `find_compact_emission`, of their unsaturated light; 0 in
-    frames that a camera did not take."""
+@dataclass(frozen=True)
+class FlameLight:
+    """The place of a clip's light in space, in F frames.
+
+    Attributes:
+        voxels: V, on a grid of their own.
+        emission: (F, V) float32 >= 0; 0 in frames that a camera did not take.
+    """
+
+    voxels: FlameVoxels
+    emission: np.ndarray
+
+    def pool(self, coarser: FlameVoxels) -> np.ndarray:
+        """Return (F, W) the light within each of W coarser voxels of the same world; light outside them is left out."""
+        first = coarser.center[0] - coarser.index[0] * coarser.voxel_size  # the centre of the grid's first cell
+        cell = np.rint((self.voxels.center - first) / coarser.voxel_size).astype(np.int64)
+        inside = ((cell >= 0) & (cell < coarser.resolution)).all(1)
+        rows = np.full(coarser.resolution, len(coarser.index))
+        rows[tuple(coarser.index.T)] = np.arange(len(coarser.index))
+        row = np.full(len(cell), len(coarser.index))
+        row[inside] = rows[tuple(cell[inside].T)]
+        return np.stack([np.bincount(row, light, len(coarser.index) + 1)[:-1] for light in self.emission])
+
+
+def find_compact_flame(observation: Observation, longest_side: int) -> FlameLight:
+    """Return a clip's light by `find_compact_emission`, of what its pictures show unsaturated.
+
+    Args:
+        longest_side: voxels along the longest side of the flame, see `carve`, which says what is raised, too.
+    """
+    voxels = carve(observation.cameras, observation.mask, longest_side, blocked=observation.blocked)
     light = unsaturated_light(observation)
     taken = observation.delivered.all(1)
-    nothing = np.zeros(len(voxels.center))
+    nothing = np.zeros(len(voxels.center), np.float32)
 
     def find(f: int) -> np.ndarray:
-        return find_compact_emission(voxels, light[f], observation.mask[f]) if taken[f] else nothing
+        found = find_compact_emission(voxels, light[f], observation.mask[f]) if taken[f] else nothing
+        return found.astype(np.float32)
 
-    return np.stack(map_on_cores(find, range(len(light))))
+    return FlameLight(voxels, np.stack(map_on_cores(find, range(len(light)))))
 
 
 def imagine_views(
-    voxels: FlameVoxels, emission: np.ndarray, observation: Observation, cameras: list[Camera] | None = None
+    light: FlameLight, observation: Observation, cameras: list[Camera] | None = None
 ) -> UnseenViews | None:
-    """Return how a clip's emission (F, V) of `find_compact_flame` looks from all around; None where it is dark.
+    """Return how a clip's light looks from all around; None where it is dark.
 
     cameras: of one size, with pixels of about a voxel; by default those of `cameras_around`.
     """
-    frames = np.flatnonzero(emission.any(1))
+    voxels, frames = light.voxels, np.flatnonzero(light.emission.any(1))
     if not len(frames):
         return None
-    shining = emission[frames].T
+    shining = light.emission[frames].T
     curves = _light_by_thickness(voxels, shining, observation, frames)
     cameras = cameras or cameras_around(voxels, observation.cameras)
     thickness = np.stack([_thickness(voxels, shining, camera) for camera in cameras], 1)
@@ -187,7 +216,7 @@ def _footprints(voxels: FlameVoxels, camera: Camera) -> csr_matrix:
     cell, weight, inside = (np.concatenate(p) for p in zip(*parts, strict=True))
     voxel = np.tile(np.arange(len(depth)), 4)
     shape = camera.width * camera.height, len(depth)
-    return coo_matrix((weight[inside], (cell[inside], voxel[inside])), shape).tocsr()
+    return coo_matrix((weight[inside].astype(np.float32), (cell[inside], voxel[inside])), shape).tocsr()
 
 
 def _light_by_thickness(

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -33,6 +33,11 @@ class FlameVoxels:
     pixel: np.ndarray
     jacobian: np.ndarray
     forward: np.ndarray
+
+    def only(self, rows: np.ndarray) -> FlameVoxels:
+        """Return some of the voxels, of the same grid. rows: indices, or (V,) bool."""
+        parts = {name: getattr(self, name)[rows] for name in ("center", "index")}
+        return replace(self, **parts, pixel=self.pixel[:, rows], jacobian=self.jacobian[:, rows])
 
     def sample(self, images: np.ndarray, outside=0) -> np.ndarray:
         """Nearest-pixel values of images (C, H, W, ...) at every voxel: (C, V, ...).

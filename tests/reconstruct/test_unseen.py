@@ -52,39 +52,37 @@ def observation(thickness, cameras, color, plate=0.02, delivered=True):
     )
 
 
-def imagined(voxels, observed):
-    return imagine_views(voxels, find_compact_flame(voxels, observed), observed)
+def imagined(observed):
+    return imagine_views(find_compact_flame(observed, 48), observed)
 
 
 def ball_observation(color=(3.0, 1.0, 0.05), frames=2, **kwargs):
-    """A ball of even fire, by exact path lengths (m), seen by three cameras; and its voxels."""
+    """A ball of even fire, by exact path lengths (m), seen by three cameras."""
     cameras = arc(3)
-    masks, lengths = ball(cameras, MIDDLE, RADIUS)
-    voxels = carve(cameras, masks[None], 32)
-    return observation(np.stack([4 * lengths] * frames), cameras, color, **kwargs), voxels
+    lengths = ball(cameras, MIDDLE, RADIUS)[1]
+    return observation(np.stack([4 * lengths] * frames), cameras, color, **kwargs)
 
 
 @pytest.mark.parametrize("reach", [3, 9])
 def test_a_mask_that_reaches_beyond_the_flame_does_not_glow(reach):
     """Around the ball the masks hold pixels whose red differs from the plate by 0.06, and no flame."""
-    observed, _ = ball_observation()
+    observed = ball_observation()
     disc = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * reach + 1, 2 * reach + 1))
     wide = np.array([[cv2.dilate(m.astype(np.uint8), disc) > 0 for m in frame] for frame in observed.mask])
     image = observed.image.copy()
     image[wide & ~observed.mask, 0] = shown(np.float32(0.02 + 0.06))
     loose = replace(observed, mask=wide, allowed=wide, image=image)
-    voxels = carve(loose.cameras, wide, 32)
-    views = imagined(voxels, loose)
+    views = imagined(loose)
     for v, camera in enumerate(views.cameras):
         _, lengths = ball([camera], MIDDLE, RADIUS)
         near = cv2.dilate((lengths[0] > 0).astype(np.uint8), np.ones((7, 7))) > 0
         light = views.view(1, v).light[0].reshape(camera.height, camera.width)
-        assert light[~near].max() < 0.03, "half of what the masks' rim has"
+        assert light[~near].max() < 0.04, "two thirds of what the masks' rim has"
 
 
 def test_a_ball_is_a_ball_from_everywhere():
-    observed, voxels = ball_observation()
-    views = imagined(voxels, observed)
+    observed = ball_observation()
+    views = imagined(observed)
     assert views.thickness.shape[:2] == (2, len(views.cameras)) and views.time_s.tolist() == pytest.approx([0.1, 0.11])
     for v, camera in enumerate(views.cameras):
         _, lengths = ball([camera], MIDDLE, RADIUS)
@@ -140,7 +138,7 @@ def test_a_given_camera_in_the_flame_makes_no_huge_picture():
     "color, told", [((60.0, 1.0, 0.05), 1), ((1.6, 0.5, 0.02), 0), ((1.0, 0.3, 0.02), 0), ((0.1, 0.2, 0.9), 2)]
 )
 def test_thickness_is_told_by_the_brightest_channel_that_is_not_white(color, told):
-    observed, _ = ball_observation(color)
+    observed = ball_observation(color)
     thickness = unsaturated_light(observed)
     true = 4 * ball(observed.cameras, MIDDLE, RADIUS)[1] * color[told]
     saturated = (seen(true[None] / color[told], color)[..., told] > 0.97)[0]
@@ -150,11 +148,11 @@ def test_thickness_is_told_by_the_brightest_channel_that_is_not_white(color, tol
 
 def test_light_of_a_thickness_is_its_mean_in_the_clip():
     """Three frames of one ball, whose blue differs: by exact path lengths, in two 0.02 of its thickness, in one 0.4."""
-    observed, voxels = ball_observation((1.0, 0.3, 0.02), frames=3)
+    observed = ball_observation((1.0, 0.3, 0.02), frames=3)
     lengths = 4 * ball(observed.cameras, MIDDLE, RADIUS)[1]
     image = observed.image.copy()
     image[2] = seen(lengths[None], (1.0, 0.3, 0.4))[0]
-    view = imagined(voxels, replace(observed, image=image)).view(0, 0)
+    view = imagined(replace(observed, image=image)).view(0, 0)
     red, _, blue = view.light
     thick = red > 0.6
     through = 1 - red[thick] / 0.98
@@ -163,30 +161,43 @@ def test_light_of_a_thickness_is_its_mean_in_the_clip():
     np.testing.assert_allclose(blue[thick], mean, rtol=0.1)
     usual = 0.98 * (1 - through**0.02)
     np.testing.assert_allclose(view.spread[2][thick], mean - usual, rtol=0.15, err_msg="two of three are so far off")
-    assert view.spread[0][thick].max() < 0.05 * red.max(), "red is the same in all"
+    assert view.spread[0][thick].max() < 0.08 * red.max(), "red is the same in all, but for the voxels' noise"
     assert not view.spread[:, view.light[0] == 0].any(), "where nothing is, nothing may be"
 
 
 def test_white_pictures_and_white_plates_are_finite():
-    observed, voxels = ball_observation()
+    observed = ball_observation()
     for image, plate in ((1.0, 0.0), (1.0, 1.0), (0.0, 1.0), (0.0, 0.0)):
         dull = replace(observed, image=np.full_like(observed.image, image), plate=np.full_like(observed.plate, plate))
         assert np.isfinite(unsaturated_light(dull)).all()
-        views = imagined(voxels, dull)
+        views = imagined(dull)
         assert views is None or np.isfinite(views.view(0, 0).light).all()
 
 
+def test_light_is_pooled_in_coarser_voxels():
+    """Voxels twice as coarse: each has the light of the finer ones whose centres lie in it; a ball keeps its place."""
+    observed = ball_observation()
+    light = find_compact_flame(observed, 48)
+    coarse = carve(observed.cameras, observed.mask, 24)
+    pooled = light.pool(coarse)
+    k = int(pooled[1].argmax())
+    within = (abs(light.voxels.center - coarse.center[k]) < coarse.voxel_size / 2).all(1)
+    assert within.any() and pooled[1][k] == pytest.approx(light.emission[1][within].sum())
+    assert np.average(coarse.center, axis=0, weights=pooled[1]) == pytest.approx(MIDDLE, abs=0.01)
+    assert pooled.sum() == pytest.approx(light.emission.sum(), rel=0.02), "hardly any is outside the coarser hull"
+
+
 def test_frames_that_a_camera_did_not_take_are_left_out():
-    observed, voxels = ball_observation(frames=3)
+    observed = ball_observation(frames=3)
     observed.delivered[1, 2] = False
-    views = imagined(voxels, observed)
+    views = imagined(observed)
     assert views.time_s.tolist() == pytest.approx([0.1, 0.12])
     rng = np.random.default_rng(0)
     assert [view and view.time_s for view in (views.choose(f, rng) for f in range(3))] == pytest.approx(
         [0.1, None, 0.12]
     )
     observed.delivered[:] = False
-    assert imagined(voxels, observed) is None
+    assert imagined(observed) is None
 
 
 # ---------------------------------------------------------------- light over plates
