@@ -91,6 +91,7 @@ def size_of(dataset: Dataset) -> tuple[int, int]:
     return len(dataset.train_frames), len(dataset.cameras)
 
 
+LIGHT_FINER = 1.5  # voxels of the light for each of the flow field's, along a side
 STILL_STEPS = 1 / 3  # of the flame's: the paper's 10 000 and 30 000
 UNHELD = 1 / 1.3  # times a step's time, where no flame is held over other plates and from all around (dev fires)
 DRJIT = 1 / 0.6  # times a step's time, without the native kernels
@@ -122,4 +123,8 @@ def seeing_s(frames: int, training_pixels: int, voxels: int) -> dict[str, float]
     Args:
         frames: for training.   training_pixels: of all their pictures.   voxels: along the flame's longest side.
     """
-    return {"motion": 0.9 + 0.67e-6 * training_pixels, "flow field": 0.2 * frames * (voxels / 72) ** 2}
+    return {
+        "motion": 0.9 + 0.67e-6 * training_pixels,
+        "flow field": 0.2 * frames * (voxels / 72) ** 2,
+        "light": 0.3 * frames * (voxels / 72) ** 2.5,
+    }

@@ -37,7 +37,7 @@ from gof.reconstruct.methods import Method, Rates, rates_in_voxels
 from gof.reconstruct.observation import Observation
 from gof.reconstruct.optical_flow import FlowMethod
 from gof.reconstruct.optimize import Schedule, Units, optimize
-from gof.reconstruct.presets import STILL_STEPS
+from gof.reconstruct.presets import LIGHT_FINER, STILL_STEPS
 from gof.reconstruct.run_inputs import flow_field_of, observation_of, uses_flow_prior
 from gof.reconstruct.seeds import LIFETIME_FRAMES, lifetime_s, sample_seeds
 from gof.reconstruct.settings import FILE as SETTINGS
@@ -167,14 +167,14 @@ def make_flow_field(run: ReconstructionRun, observation: Observation) -> FlowFie
 # ---- Seeds: the Gaussians that the optimisation starts from ----------------------------------------------------------
 
 
-LIGHT_FINER = 1.5  # voxels of the light for each of the flow field's, along a side
-
-
 def find_light(run: ReconstructionRun, observation: Observation, field: FlowField) -> FlameLight | None:
-    """Return the flame's light drawn together, where the method uses it."""
+    """Return the flame's light drawn together, where the method uses it; on finer voxels than the flow field's."""
     if run.method.unseen <= 0:
         return None
-    return find_compact_flame(observation, round(LIGHT_FINER * field.voxels.resolution.max()))
+    with run.log.measure("light") as figures, progress_bar("light", left=run.left) as progress:
+        light = find_compact_flame(observation, round(LIGHT_FINER * field.voxels.resolution.max()), progress)
+        figures.update(voxels=len(light.voxels.center), voxel_size_m=round(light.voxels.voxel_size, 5))
+    return light
 
 
 def make_seeds(

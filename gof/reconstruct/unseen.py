@@ -11,6 +11,7 @@ free: a filmed flame, of which it knows less, is held less.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
@@ -105,11 +106,14 @@ class FlameLight:
         return np.stack([np.bincount(row, light, len(coarser.index) + 1)[:-1] for light in self.emission])
 
 
-def find_compact_flame(observation: Observation, longest_side: int) -> FlameLight:
+def find_compact_flame(
+    observation: Observation, longest_side: int, progress: Callable[..., None] | None = None
+) -> FlameLight:
     """Return a clip's light by `find_compact_emission`, of what its pictures show unsaturated.
 
     Args:
         longest_side: voxels along the longest side of the flame, see `carve`, which says what is raised, too.
+        progress: called with (done, total) after every frame.
     """
     voxels = carve(observation.cameras, observation.mask, longest_side, blocked=observation.blocked)
     light = unsaturated_light(observation)
@@ -120,7 +124,7 @@ def find_compact_flame(observation: Observation, longest_side: int) -> FlameLigh
         found = find_compact_emission(voxels, light[f], observation.mask[f]) if taken[f] else nothing
         return found.astype(np.float32)
 
-    return FlameLight(voxels, np.stack(map_on_cores(find, range(len(light)))))
+    return FlameLight(voxels, np.stack(map_on_cores(find, range(len(light)), progress)))
 
 
 def imagine_views(

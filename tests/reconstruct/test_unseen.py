@@ -184,7 +184,7 @@ def test_light_is_pooled_in_coarser_voxels():
     within = (abs(light.voxels.center - coarse.center[k]) < coarse.voxel_size / 2).all(1)
     assert within.any() and pooled[1][k] == pytest.approx(light.emission[1][within].sum())
     assert np.average(coarse.center, axis=0, weights=pooled[1]) == pytest.approx(MIDDLE, abs=0.01)
-    assert pooled.sum() == pytest.approx(light.emission.sum(), rel=0.02), "hardly any is outside the coarser hull"
+    assert pooled.sum() == pytest.approx(light.emission.sum(), rel=0.05), "hardly any is outside the coarser hull"
 
 
 def test_frames_that_a_camera_did_not_take_are_left_out():
