@@ -38,6 +38,7 @@ from gof.ingest.place import require_no_more
 from gof.ingest.plates import MOST_FIRE_LEFT, find_plates
 from gof.ingest.pose_clues import KnownRig, PoseOptions, Solver
 from gof.ingest.published import PublishedFootage, is_published
+from gof.ingest.rig_sketch import EXAMPLES, RigSketch
 from gof.ingest.up import UpChoice
 
 MOST_FOV_DEG = 170.0
@@ -105,9 +106,11 @@ class IngestConfig:
     poses: Solver = "auto"
     """"features": structure from motion; "points": board or --points, refined with features; "auto": the first that
     holds."""
-    rig: Path | None = None
+    rig: Annotated[Path | None, tyro.conf.arg(metavar="DATASET|SKETCH")] = None
     """Dataset made from another clip of the same rig. Its poses are used if the still pictures show that no camera
-    moved since, and no other evidence contradicts them."""
+    moved since, and no other evidence contradicts them. Or, where nothing but the flame is seen, a sketch of the rig:
+    "3 in a row, 0.5 m apart, 2 m away", or "3 in an arc, 10 degrees apart, 2 m away". The cameras stand at one height,
+    in the videos' order from left to right, look at the flame's middle, and are found from the flame itself."""
     with_clip: list[Path] = field(default_factory=list)
     """Folders of more clips of the same rig, with videos of the same names: features and boards of all clips solve the
     poses together. A take that is named here, too, is left out for itself."""
@@ -184,6 +187,9 @@ def ingest(config: IngestConfig) -> Ingested:
     if config.times == (SYNC,) and not is_published(config.videos):
         (out / SYNC / FILE).unlink(missing_ok=True)  # of a run that was cut off, perhaps of other videos
         capture_sync.find_clocks(capture_sync.SyncConfig(config.videos, out / SYNC, config.board, report=False))
+    sketch = None if config.rig is None else rig_sketch(config.rig)
+    if sketch is not None:
+        require_sketched(sketch, footage, config.poses)
     if config.flame_height_m is not None and (len(footage.videos) > 1 or footage.world_to_camera is not None):
         raise GofError(NO_HEIGHT)
     pose_options = PoseOptions(
@@ -193,7 +199,8 @@ def ingest(config: IngestConfig) -> Ingested:
         marker_m=None if config.marker_mm is None else config.marker_mm / 1000,
         baseline_m=config.baseline_m,
         flame_height_m=config.flame_height_m,
-        rig=known_rig(config.rig, footage) if config.rig else None,
+        rig=known_rig(config.rig, footage) if config.rig and sketch is None else None,
+        sketch=sketch,
         up=config.up,
         tilts=tuple(map(read_tilt, footage.videos, footage.turns)) if config.up in TAGGED else (),
     )
@@ -212,10 +219,13 @@ def ingest(config: IngestConfig) -> Ingested:
 def require_fitting(config: IngestConfig, timing: Timing) -> None:
     """Raise GofError: an option is for another number of cameras, or names a dataset or a clip that is not there. It
     reads no video, which may take minutes."""
-    if config.rig is not None:
+    sketch = None if config.rig is None else rig_sketch(config.rig)
+    if config.rig is not None and sketch is None:
         Dataset.open(config.rig)
     if is_published(config.videos):
         return
+    if sketch is not None and len(config.videos) > 1:
+        sketch.centres(len(config.videos))
     timing.require_fitting(len(config.videos), made=config.times != (SYNC,))
     for folder in config.with_clip:
         clip_videos(config.videos, folder)
@@ -223,6 +233,24 @@ def require_fitting(config: IngestConfig, timing: Timing) -> None:
         raise GofError(NO_HEIGHT)
     if len(config.videos) == 1 and config.cameras is None:
         require_no_more(config.points, config.marker_mm, config.baseline_m, config.rig, config.poses)
+
+
+def rig_sketch(rig: Path) -> RigSketch | None:
+    """Return the sketch that --rig is, unless it is a dataset's path. Raises GofError: it is neither."""
+    if rig.exists():
+        return None
+    sketch = RigSketch.parse(str(rig))
+    if sketch is None:
+        raise GofError(f"--rig {rig}: no such dataset, and no sketch of a rig as {EXAMPLES}")
+    return sketch
+
+
+def require_sketched(sketch: RigSketch, footage: Footage, solver: Solver) -> None:
+    """Raise GofError: lenses are not known, or poses are to come from elsewhere."""
+    if footage.search is not None:
+        raise GofError(f"--rig '{sketch.words}': the lenses are not known; give --fov or --cameras. {phones_in_words()}")
+    if footage.world_to_camera is not None or solver != "auto":
+        raise GofError(f"--rig '{sketch.words}': poses are to come from --cameras or --poses; leave out one of them")
 
 
 def known_rig(folder: Path, footage: Footage) -> KnownRig:

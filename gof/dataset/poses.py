@@ -46,6 +46,24 @@ class PointCheck:
 
 
 @dataclass(frozen=True)
+class SketchFit:
+    """How well poses from a sketch and the flame hold.
+
+    Attributes:
+        near: per pair, "cam_0-cam_1", the matches on the flame that lie near their epipolar lines.
+        by_chance: how many would if features were matched at random.
+        halves_px: how far on the flame, root mean square, poses by the even and the odd moments are apart, px of
+            pictures with a longer side of 854; None where one half leads nowhere.
+        off_sketch: largest difference from the sketch, in its standard deviations.
+    """
+
+    near: dict[str, int]
+    by_chance: dict[str, float]
+    halves_px: float | None
+    off_sketch: float
+
+
+@dataclass(frozen=True)
 class UpReport:
     """Source of the world's Z axis.
 
@@ -70,7 +88,7 @@ class PoseReport:
 
     Attributes:
         method: "features": structure from motion; "points": the board or points by hand; "rig": those of another clip;
-            "--cameras": given; "published": they came with the footage; "one camera": the flame's extent.
+            "sketch": a sketch of the rig, refined by the flame; "--cameras": given; "published": they came with the footage; "one camera": the flame's extent.
         scale: how the unit of length is known.
         notes: what could not be used, for people.
         sfm: None when no features were looked for.
@@ -78,9 +96,10 @@ class PoseReport:
         check: None when no marked point is in two views.
         moved: per other clip of the rig, how far each camera's still picture lies from where it was, px; None without.
         up: how Z is known; None where it came with the poses.
+        sketch: how well a sketch and the flame fit; None where there is no sketch.
     """
 
-    method: Literal["--cameras", "features", "points", "published", "rig", "one camera"]
+    method: Literal["--cameras", "features", "points", "published", "rig", "sketch", "one camera"]
     scale: str
     notes: tuple[str, ...] = ()
     sfm: FeatureFigures | None = None
@@ -88,6 +107,7 @@ class PoseReport:
     check: PointCheck | None = None
     moved: dict[str, dict[str, float]] | None = None
     up: UpReport | None = None
+    sketch: SketchFit | None = None
 
 
 @dataclass(frozen=True)

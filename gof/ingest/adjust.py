@@ -10,7 +10,7 @@ import numpy as np
 
 from gof.dataset.poses import PointCheck
 from gof.footage.lens import STRAIGHT, Lens
-from gof.ingest.bundle import BundleParameters, Sightings, adjust, misfit
+from gof.ingest.bundle import Anchor, BundleParameters, Sightings, adjust, misfit
 from gof.ingest.marked_points import MarkedPoint
 from gof.ingest.sfm import Features, Model, PoseError, epipolar_distance
 
@@ -165,7 +165,13 @@ def tracks(features: Features, lenses: list[Lens], poses: np.ndarray, gate: floa
 # ---- bundle adjustment -----------------------------------------------------------------------------------------------
 
 
-def bundle(poses: np.ndarray, lenses: list[Lens], points: list[MarkedPoint], chains: list[Track]) -> Model:
+def bundle(
+    poses: np.ndarray,
+    lenses: list[Lens],
+    points: list[MarkedPoint],
+    chains: list[Track],
+    anchor: Anchor | None = None,
+) -> Model:
     """Robust bundle adjustment of tracks and marked points: `gof.ingest.bundle.adjust` with this room's things.
 
     Points with known xyz move as their boards do, each board as one body; the first stays where it is. A board that
@@ -173,13 +179,14 @@ def bundle(poses: np.ndarray, lenses: list[Lens], points: list[MarkedPoint], cha
 
     Args:
         poses: (C, 4, 4) world to camera to start from, metres where a point is known.
+        anchor: where the cameras stand roughly, if that is known.
     Returns:
         the refined poses, and the triangulated points (N, 3) that lay in front of their cameras.
     Raises:
         PoseError: nothing to adjust to.
     """
     boards, start, seen = _sightings(poses, lenses, points, chains)
-    found = adjust(start, seen, np.stack([lens.K for lens in lenses]))
+    found = adjust(start, seen, np.stack([lens.K for lens in lenses]), anchor=anchor)
     first = found.bodies[0] if len(boards) else np.eye(4)  # the world stays that of the first board
     return Model(found.cameras @ first, (found.points - first[:3, 3]) @ first[:3, :3])
 

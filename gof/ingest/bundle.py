@@ -71,6 +71,51 @@ class BundleParameters:
         return replace(self, cameras=cameras, bodies=bodies, points=self.points - origin)
 
 
+@dataclass(frozen=True)
+class Anchor:
+    """Poses near which cameras stand, and how far they may be off: what pulls where pixels say nothing.
+
+    Attributes:
+        cameras: (C, 4, 4) world to camera.
+        turn_rad: (3,) standard deviation of the turn about the camera's axes.
+        place: (3,) standard deviation of the camera's centre along the world's axes, in the world's unit; all > 0.
+    """
+
+    cameras: np.ndarray
+    turn_rad: np.ndarray
+    place: np.ndarray
+
+    def about(self, origin: np.ndarray) -> Anchor:
+        """Return the same in a world whose origin (3,) is there."""
+        cameras = self.cameras.copy()
+        cameras[:, :3, 3] += cameras[:, :3, :3] @ origin
+        return replace(self, cameras=cameras)
+
+    def residual(self, cameras: np.ndarray) -> np.ndarray:
+        """Return (C, 6) by how many standard deviations cameras (C, 4, 4) are turned and moved."""
+        from scipy.spatial.transform import Rotation  # here: it takes long to load
+
+        turn = Rotation.from_matrix(cameras[:, :3, :3] @ np.swapaxes(self.cameras[:, :3, :3], 1, 2)).as_rotvec()
+        return np.concatenate([turn / self.turn_rad, (_centres(cameras) - _centres(self.cameras)) / self.place], 1)
+
+    def slope(self, cameras: np.ndarray) -> np.ndarray:
+        """Return (C, 6, 6) of the residual by `BundleParameters.moved`'s step; of the turn near the anchor."""
+        J = np.zeros((len(cameras), 6, 6))
+        back = np.swapaxes(cameras[:, :3, :3], 1, 2)
+        J[:, :3, :3] = np.diag(1 / self.turn_rad)
+        J[:, 3:, :3] = -back @ _cross(cameras[:, :3, 3]) / self.place[:, None]
+        J[:, 3:, 3:] = -back / self.place[:, None]
+        return J
+
+    def cost(self, cameras: np.ndarray) -> float:
+        """Half the sum of squares, which is what soft L1 is near zero."""
+        return 0.5 * float((self.residual(cameras) ** 2).sum())
+
+
+def _centres(cameras: np.ndarray) -> np.ndarray:
+    return -np.einsum("cji,cj->ci", cameras[:, :3, :3], cameras[:, :3, 3])
+
+
 def _moved(poses: np.ndarray, step: np.ndarray) -> np.ndarray:
     from scipy.spatial.transform import Rotation  # here: it takes long to load
 
@@ -113,12 +158,19 @@ class _Lenses:
         return K
 
 
-def adjust(start: BundleParameters, seen: Sightings, K: np.ndarray, zoom: np.ndarray | None = None) -> BundleParameters:
+def adjust(
+    start: BundleParameters,
+    seen: Sightings,
+    K: np.ndarray,
+    zoom: np.ndarray | None = None,
+    anchor: Anchor | None = None,
+) -> BundleParameters:
     """Return the state near `start` that explains the pixels best (soft L1, so that single mismatches hardly pull).
 
     Args:
         K: (C, 3, 3) of the cameras.
         zoom: (C,) number of the zoom of `start` that each camera has, -1 for those whose lens is known; None: all are.
+        anchor: where the cameras are known to stand roughly; None: nothing is known of it.
     Returns:
         in a world that is only near the start's: cameras, bodies and points may have moved as a whole.
     """
@@ -126,22 +178,30 @@ def adjust(start: BundleParameters, seen: Sightings, K: np.ndarray, zoom: np.nda
     # About a middle of what is seen: far from the world's origin turning is moving, to the last digit.
     middle = np.median(np.concatenate([start.points, start.bodies[:, :3, 3]]), 0)
     state, damping = start.about(middle), DAMPING
+    anchor = None if anchor is None else anchor.about(middle)
     now = _project(state, seen, lenses)
+    cost = now.cost + _pull_of(anchor, state)
     for _ in range(MOST_STEPS):
         normal = _Normal.of(state, seen, now, lenses)
+        normal = normal if anchor is None else normal.held(anchor, state.cameras)
         while damping < MOST_DAMPING:
             trial = state.moved(*normal.step(damping))
             then = _project(trial, seen, lenses)
-            if then.cost < now.cost:
+            less = then.cost + _pull_of(anchor, trial)
+            if less < cost:
                 break
             damping *= 4
         else:
             break  # no step helps: it is the minimum, to the last digit
-        gain = (now.cost - then.cost) / (now.cost + EXACT * len(seen.camera))
-        state, now, damping = trial, then, max(damping / 5, LEAST_DAMPING)
+        gain = (cost - less) / (cost + EXACT * len(seen.camera))
+        state, now, cost, damping = trial, then, less, max(damping / 5, LEAST_DAMPING)
         if gain < ENOUGH:
             break
     return state.about(-middle)
+
+
+def _pull_of(anchor: Anchor | None, state: BundleParameters) -> float:
+    return 0.0 if anchor is None else anchor.cost(state.cameras)
 
 
 def misfit(state: BundleParameters, seen: Sightings, K: np.ndarray, zoom: np.ndarray) -> float:
@@ -217,6 +277,15 @@ class _Normal:
             np.tensordot(weighted, now.residual, ([0, 1], [0, 1])),
             per_point((np.swapaxes(share[free], 1, 2) @ now.residual[free, :, None])[..., 0]),
         )
+
+    def held(self, anchor: Anchor, cameras: np.ndarray) -> _Normal:
+        """Return the equations with the pull of an anchor on cameras (C, 4, 4)."""
+        poses, pull = self.poses.copy(), self.pull.copy()
+        for c, (J, r) in enumerate(zip(anchor.slope(cameras), anchor.residual(cameras), strict=True)):
+            own = slice(6 * c, 6 * c + 6)
+            poses[own, own] += J.T @ J
+            pull[own] += J.T @ r
+        return replace(self, poses=poses, pull=pull)
 
     def step(self, damping: float) -> tuple[np.ndarray, np.ndarray]:
         """Return (P,) and (N, 3): the step, damped in proportion to the diagonal."""

@@ -34,7 +34,8 @@ from gof.ingest.footage import (
 )
 from gof.ingest.frame_times import FrameTimes, Timing
 from gof.ingest.over_time import darkest
-from gof.ingest.place import Placed, place_alone
+from gof.ingest.flame_features import Moments, match_flames
+from gof.ingest.place import Placed, place_alone, place_from_sketch
 from gof.ingest.pose_clues import PoseClues, PoseOptions
 from gof.ingest.published import CAMERAS_FILE, is_published
 
@@ -273,15 +274,37 @@ def _find_poses(
 ) -> Placed:
     """Place the cameras by the dataset's own clip and the clues of the rig's `others`."""
     known = read.known
+    reads = (options.board is not None) + (options.sketch is not None)
     with log.measure("poses") as figures:
-        with watched("poses: read", known, [1 + (options.board is not None)] * len(known)) as seen:
+        with watched("poses: read", known, [1 + reads] * len(known)) as seen:
             clues = PoseClues.of(name, seen, fire_free.lowest, options)
             if len(seen) == 1 and footage.world_to_camera is None:
                 placed = place_alone(seen[0], fire_free.pictures[0], footage.upright_lenses[0], clues, options)
+            elif options.sketch is not None:
+                placed = _place_by_sketch(footage, read, seen, fire_free, clues, options)
             else:
                 placed = footage.place([clues, *others], options)
         figures.update(method=placed.report.method, points=len(placed.points))
     return placed
+
+
+def _place_by_sketch(
+    footage: Footage,
+    read: ReadClips,
+    seen: list[PreparedClip],
+    fire_free: FireFree,
+    clues: PoseClues,
+    options: PoseOptions,
+) -> Placed:
+    """Place the cameras by a sketch and the flame in the frames that may be learned from."""
+    train, times, lenses = np.array(read.splits.train), read.times, footage.upright_lenses
+    moments = Moments.of(train, [time_s[train] for time_s in times.time_s])
+    views = [
+        Camera(name, lens.width, lens.height, lens.K, np.eye(4), row_time_s, readout)
+        for name, lens, row_time_s, readout in zip(footage.names, lenses, times.row_time_s, times.readout, strict=True)
+    ]
+    flame = match_flames(seen, fire_free.pictures, views, moments)
+    return place_from_sketch(flame, lenses, footage.names, clues, options)
 
 
 def _tell_provenance(
@@ -369,7 +392,7 @@ def derived_files(stored: list[StoredView], placed: Placed, plates_of_clip: bool
     """Return names of the dataset's files that are computed from the clip's training frames, masks of single frames
     aside."""
     files = [view.static for view in stored] if plates_of_clip else []
-    files += [POSES] if placed.report.method in ("features", "points", "one camera") else []
+    files += [POSES] if placed.report.method in ("features", "points", "sketch", "one camera") else []
     return files
 
 

@@ -16,6 +16,8 @@ from gof.footage.flame_mask import flame_mask
 from gof.footage.lens import Lens
 from gof.ingest import adjust, sfm
 from gof.ingest.axes import find_up, metric_scale, upright_world
+from gof.ingest.by_flame import place_by_flame
+from gof.ingest.flame_features import FlameFeatures
 from gof.ingest.focal import ChosenLenses, LensSearch, choose_lenses
 from gof.ingest.marked_points import MarkedPoint
 from gof.ingest.pose_clues import MIN_JUDGED, PoseClues, PoseOptions, require_still
@@ -111,6 +113,44 @@ def place_cameras(
     warnings += solved.warnings if chosen.method == "features" else ()
     report = PoseReport(chosen.method, scale, notes + warnings, *judged, moved or None, how)
     return Placed(world_to_camera, cloud, report, seen_through)
+
+
+SKETCHED = (
+    "poses are from a sketch and the flame: pixels agree, but the flame's depth and the scale are as good as the "
+    "sketch. A wrong --fov goes unseen, and times that are off by a millisecond shift the poses by a pixel"
+)
+
+
+def place_from_sketch(
+    flame: FlameFeatures, lenses: list[Lens], names: list[str], clip: PoseClues, options: PoseOptions
+) -> Placed:
+    """Poses from the sketch of `options`, refined by the flame, in world axes as `place_cameras`.
+
+    Args:
+        lenses: of the upright pictures.   clip: its board's points check the poses, as those by hand do.
+    Raises:
+        GofError: the sketch is for another number of cameras.
+        PoseError: the flame or marked points contradict the poses.
+    """
+    if options.sketch is None:
+        raise ValueError("place_from_sketch: needs a sketch")
+    found = place_by_flame(flame, options.sketch, names)
+    metric = found.model.world_to_camera.copy()
+    points = _all_points([clip], options)
+    check = adjust.check_points(points, lenses, metric)
+    objection = _objection([], [], [], check)
+    if objection:
+        raise sfm.PoseError(f"--rig '{options.sketch.words}': cameras found by the flame do not hold: {objection}")
+    factor, scale = 1.0, f"{METRES}, from the sketch: {options.sketch.words}"
+    if options.baseline_m is not None or options.has_length:
+        factor, scale = metric_scale(metric, check, options)
+    metric[:, :3, 3] *= factor
+    up, how, warnings = find_up(metric, clip, points, lenses, options)
+    world_to_camera, transform = upright_world(metric, up)
+    notes = (SKETCHED, *clip.notes, *warnings)
+    report = PoseReport("sketch", scale, notes, found.figures, check=check, up=how, sketch=found.fit)
+    cloud = found.model.points * factor @ transform[:3, :3].T + transform[:3, 3]
+    return Placed(world_to_camera, cloud, report)
 
 
 def _all_points(clips: list[PoseClues], options: PoseOptions) -> list[MarkedPoint]:
@@ -244,7 +284,8 @@ def place_alone(
         GofError: an option needs several cameras; no picture shows flame; the camera looks too steeply
             up or down.
     """
-    require_no_more(options.by_hand, options.marker_m, options.baseline_m, options.rig, options.solver)
+    rig = options.rig or options.sketch
+    require_no_more(options.by_hand, options.marker_m, options.baseline_m, rig, options.solver)
     up, how, warnings = find_up(np.eye(4)[None], clues, [], [lens], options)
     tip, foot = flame_ends(clip, plate)
     forward = np.array([0.0, 0.0, 1.0]) - up[2] * up

@@ -20,6 +20,7 @@ from gof.ingest import sfm
 from gof.ingest.accelerometer import Tilt
 from gof.ingest.marked_points import MarkedPoint
 from gof.ingest.over_time import largest_change
+from gof.ingest.rig_sketch import RigSketch
 from gof.ingest.up import UpChoice
 
 STILL_RANGE = 60  # of 255: pixels that change more over the clip show fire or LEDs and get no features
@@ -43,6 +44,7 @@ class PoseOptions:
         baseline_m: distance between the first and the last camera in m; gives the scale.
         flame_height_m: of a single camera's flame, from its foot to the highest tip of the clip; gives the scale.
         rig: another clip's poses, to be taken over if nothing speaks against them.
+        sketch: where the cameras stand roughly, to be refined by the flame; in place of all that stands still.
         up: how the vertical is found, see `find_up`.
         tilts: the cameras' accelerometers on it; empty where not asked for.
 
@@ -57,6 +59,7 @@ class PoseOptions:
     baseline_m: float | None = None
     flame_height_m: float | None = None
     rig: KnownRig | None = None
+    sketch: RigSketch | None = None
     up: UpChoice = "auto"
     tilts: tuple[Tilt, ...] = ()
 
