@@ -32,13 +32,13 @@ from gof.ingest.fire_free import PlateKind, PlateOptions
 from gof.ingest.focal import is_findable, phones_in_words
 from gof.ingest.footage import Footage
 from gof.ingest.frame_times import Timing
+from gof.ingest.given_rig import known_rig, require_sketched, rig_sketch
 from gof.ingest.marked_points import read_points
 from gof.ingest.pipeline import Ingested, is_made_of, make_dataset, require_new
 from gof.ingest.place import require_no_more
 from gof.ingest.plates import MOST_FIRE_LEFT, find_plates
-from gof.ingest.pose_clues import KnownRig, PoseOptions, Solver
+from gof.ingest.pose_clues import PoseOptions, Solver
 from gof.ingest.published import PublishedFootage, is_published
-from gof.ingest.rig_sketch import EXAMPLES, RigSketch
 from gof.ingest.up import UpChoice
 
 MOST_FOV_DEG = 170.0
@@ -233,35 +233,6 @@ def require_fitting(config: IngestConfig, timing: Timing) -> None:
         raise GofError(NO_HEIGHT)
     if len(config.videos) == 1 and config.cameras is None:
         require_no_more(config.points, config.marker_mm, config.baseline_m, config.rig, config.poses)
-
-
-def rig_sketch(rig: Path) -> RigSketch | None:
-    """Return the sketch that --rig is, unless it is a dataset's path. Raises GofError: it is neither."""
-    if rig.exists():
-        return None
-    sketch = RigSketch.parse(str(rig))
-    if sketch is None:
-        raise GofError(f"--rig {rig}: no such dataset, and no sketch of a rig as {EXAMPLES}")
-    return sketch
-
-
-def require_sketched(sketch: RigSketch, footage: Footage, solver: Solver) -> None:
-    """Raise GofError: lenses are not known, or poses are to come from elsewhere."""
-    if footage.search is not None:
-        raise GofError(f"--rig '{sketch.words}': the lenses are not known; give --fov or --cameras. {phones_in_words()}")
-    if footage.world_to_camera is not None or solver != "auto":
-        raise GofError(f"--rig '{sketch.words}': poses are to come from --cameras or --poses; leave out one of them")
-
-
-def known_rig(folder: Path, footage: Footage) -> KnownRig:
-    """Return the rig of a dataset. Raises GofError: the footage's lenses are not known; see `KnownRig.read`."""
-    if footage.search is not None:
-        fov = Dataset.open(folder).description.provenance.get("fov_deg")
-        raise GofError(
-            f"--rig {folder}: its poses hold for its lenses; give them with --fov or --cameras"
-            + (f" (it has a field of view of {fov[0]:g} degrees)" if fov else "")
-        )
-    return KnownRig.read(folder, footage.upright_lenses)
 
 
 def _default_out(videos: list[Path]) -> Path:

@@ -88,7 +88,8 @@ class PoseReport:
 
     Attributes:
         method: "features": structure from motion; "points": the board or points by hand; "rig": those of another clip;
-            "sketch": a sketch of the rig, refined by the flame; "--cameras": given; "published": they came with the footage; "one camera": the flame's extent.
+            "sketch": one of the rig, refined by the flame; "--cameras": given; "published": they came with the footage;
+            "one camera": the flame's extent.
         scale: how the unit of length is known.
         notes: what could not be used, for people.
         sfm: None when no features were looked for.

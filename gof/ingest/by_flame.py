@@ -1,4 +1,4 @@
-"""Poses from a sketch of the rig and the flame alone: where nothing else stands still in sight, as in the dark.
+"""Poses from a sketch of the rig and the flame alone: where nothing else is seen, as in the dark.
 
 Matches on the flame refine the sketch in a bundle adjustment. What they hold loosely (for a flame that looks small, how
 deep it is for its width) stays near the sketch. Poses are believed only when both halves of the moments lead to them.
@@ -26,6 +26,7 @@ LEAST_MATCHES = 40  # near their lines, of two cameras
 MOST_CHANCE = 0.6  # of the matches near their lines, that chance would put there, too
 MOST_HALVES_PX = 1.5  # between the halves' poses, root mean square on the flame, in pictures with a longer side of
 LONGER_SIDE = 854  # px; of others in proportion
+MORE = 1.0  # standard deviations of a count, by which the opposite order must be better to be believed
 MOST_OFF = 3.5  # standard deviations from the sketch
 MOST_NODES = 400  # points on the flame at which poses are compared
 REMEDY = (
@@ -48,7 +49,8 @@ def place_by_flame(flame: FlameFeatures, sketch: RigSketch, names: list[str]) ->
 
     Raises:
         GofError: the sketch is for another number of cameras.
-        PoseError: a camera shows no flame; the flame does not hold the poses; with figures.
+        PoseError: a camera shows no flame; the cameras stand in the opposite order; the flame does not hold the poses;
+            with figures.
     """
     dark = [name for name, middle in zip(names, flame.middles, strict=True) if not np.isfinite(middle).all()]
     if dark:
@@ -63,11 +65,30 @@ def place_by_flame(flame: FlameFeatures, sketch: RigSketch, names: list[str]) ->
         raise PoseError(f"--rig '{sketch.words}': too few matches on the flame ({figures.matches}); {REMEDY}")
     best = max(reached, key=lambda model: _near(flame.features, lenses, model.world_to_camera))
     best = _refined(best.world_to_camera, flame.features, lenses, anchor, GATES_PX) or best
+    _require_order(best, flame, sketch)
     fit = _judge(best, flame, anchor, names)
     objection = _objection(fit)
     if objection:
         raise PoseError(f"--rig '{sketch.words}': the flame does not hold the cameras: {objection}; {REMEDY}")
     return ByFlame(best, _figures(flame.features, names, best), fit)
+
+
+def _require_order(best: Model, flame: FlameFeatures, sketch: RigSketch) -> None:
+    """Raise PoseError: the cameras in the opposite order explain the flame better.
+
+    A flame turned inside out, filmed from the opposite side, looks alike but for its perspective.
+    """
+    start = sketch.poses(flame.lenses, flame.middles, opposite=True)
+    anchor = sketch.anchor(start)
+    ours = _near(flame.features, flame.lenses, best.world_to_camera)
+    for gates in STARTS_PX[:2]:
+        other = _refined(start, flame.features, flame.lenses, anchor, (*gates, *SETTLED_PX))
+        near = 0 if other is None else _near(flame.features, flame.lenses, other.world_to_camera)
+        if near > ours + MORE * np.sqrt(ours):
+            raise PoseError(
+                f"--rig '{sketch.words}': cameras in the opposite order fit the flame better ({near} matches near "
+                f"their lines, {ours} in this one); give the videos from left to right, as the cameras see the flame"
+            )
 
 
 def _refined(

@@ -7,7 +7,7 @@ each feature is moved to the frame's common moment, by its own motion to the nex
 
 from __future__ import annotations
 
-from collections.abc import Collection
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 from itertools import combinations
 
@@ -71,7 +71,7 @@ class Moments:
 
 
 def match_flames(
-    clips: list[Collection[np.ndarray]], plates: list[np.ndarray], cameras: list[Camera], moments: Moments
+    clips: Sequence[Collection[np.ndarray]], plates: list[np.ndarray], cameras: list[Camera], moments: Moments
 ) -> FlameFeatures:
     """Return features on the flame, and their matches between all pairs of cameras.
 
@@ -80,7 +80,7 @@ def match_flames(
         cameras: of these pictures, which are shrunk to LONGEST_SIDE; their poses are not used.
     """
     small = [_shrunk(camera) for camera in cameras]
-    seen = [_Seen.of(*view, moments, c) for c, view in enumerate(zip(clips, plates, small, strict=True))]
+    seen = [_SeenFlame.of(*view, moments, c) for c, view in enumerate(zip(clips, plates, small, strict=True))]
     first = [np.concatenate([[0], np.cumsum([len(p) for p in s.pixels])]).astype(int) for s in seen]
     matches = {}
     for i, j in combinations(range(len(seen)), 2):
@@ -102,8 +102,12 @@ def _shrunk(camera: Camera) -> Camera:
 
 
 @dataclass(frozen=True)
-class _Seen:
-    """One camera's features in shrunk pictures: per moment pixels (N, 2) and descriptors (N, 128); and the middle (2,) px of its light."""
+class _SeenFlame:
+    """One camera's features in shrunk pictures.
+
+    Attributes:
+        pixels, kinds: (N, 2) px and descriptors (N, 128) of every moment.   middle: (2,) px of its light.
+    """
 
     pixels: list[np.ndarray]
     kinds: list[np.ndarray]
@@ -112,7 +116,7 @@ class _Seen:
     @classmethod
     def of(
         cls, clip: Collection[np.ndarray], plate: np.ndarray, camera: Camera, moments: Moments, number: int
-    ) -> _Seen:
+    ) -> _SeenFlame:
         import cv2
 
         size = (camera.width, camera.height)
@@ -183,11 +187,11 @@ def _at_one_moment(
         return pixels, np.zeros(0, bool)
     times = moments.time_s[number]
     start = np.float32(pixels - 0.5)[:, None]
-    window = {"winSize": (WINDOW_PX, WINDOW_PX), "maxLevel": 3}
-    end, there, _ = cv2.calcOpticalFlowPyrLK(light, later, start, np.empty_like(start), **window)
-    back, again, _ = cv2.calcOpticalFlowPyrLK(later, light, end, np.empty_like(start), **window)
-    apart = np.linalg.norm((back - start)[:, 0], axis=1)
-    held = (there[:, 0] > 0) & (again[:, 0] > 0) & (apart < MOST_APART_PX)
+    window = (WINDOW_PX, WINDOW_PX)
+    end, onward, _ = cv2.calcOpticalFlowPyrLK(light, later, start, np.empty_like(start), winSize=window, maxLevel=3)
+    returned, again, _ = cv2.calcOpticalFlowPyrLK(later, light, end, np.empty_like(start), winSize=window, maxLevel=3)
+    apart = np.linalg.norm((np.asarray(returned) - start)[:, 0], axis=1)
+    held = (onward[:, 0] > 0) & (again[:, 0] > 0) & (apart < MOST_APART_PX)
     along = int(camera.readout in ("up", "down"))
     line = pixels[:, along] - (camera.width, camera.height)[along] / 2
     line = -line if camera.readout in ("up", "left") else line

@@ -22,6 +22,7 @@ from gof.footage.steadying import by_number, look, steady
 from gof.footage.videos import fingerprint
 from gof.host.terminal import progress_bar
 from gof.ingest.fire_free import FireFree, PlateOptions, make_plates, outside
+from gof.ingest.flame_features import Moments, match_flames
 from gof.ingest.footage import (
     Footage,
     PreparedClip,
@@ -34,7 +35,6 @@ from gof.ingest.footage import (
 )
 from gof.ingest.frame_times import FrameTimes, Timing
 from gof.ingest.over_time import darkest
-from gof.ingest.flame_features import Moments, match_flames
 from gof.ingest.place import Placed, place_alone, place_from_sketch
 from gof.ingest.pose_clues import PoseClues, PoseOptions
 from gof.ingest.published import CAMERAS_FILE, is_published

@@ -59,7 +59,9 @@ class RigSketch:
         if number is not None and (count is None or count < 2):
             raise GofError(f"--rig '{words}': '{number}' is no number of cameras; write it as {EXAMPLES}")
         metres = {"m": 1.0, "cm": 0.01}
-        sketch = cls(words.strip(), count, float(apart) * metres.get(unit, 1.0), float(away) * metres[away_unit], is_arc)
+        sketch = cls(
+            words.strip(), count, float(apart) * metres.get(unit, 1.0), float(away) * metres[away_unit], is_arc
+        )
         if sketch.apart <= 0 or sketch.away_m <= 0:
             raise GofError(f"--rig '{words}': cameras stand apart from each other, and away from the flame")
         return sketch
@@ -81,13 +83,16 @@ class RigSketch:
         angle = np.deg2rad(self.apart) * step
         return self.away_m * np.stack([np.sin(angle), -np.cos(angle), np.zeros(count)], 1)
 
-    def poses(self, lenses: list[Lens], middles: np.ndarray) -> np.ndarray:
+    def poses(self, lenses: list[Lens], middles: np.ndarray, opposite: bool = False) -> np.ndarray:
         """Return (C, 4, 4) world to camera, held level, but turned so that each sees the flame's middle at the pixel
         middles (C, 2).
 
+        Args:
+            opposite: the first camera stands on the right.
+
         Raises GofError as `centres`.
         """
-        centres = self.centres(len(lenses))
+        centres = self.centres(len(lenses))[:: -1 if opposite else 1]
         return np.array([_looking(c, lens, px) for c, lens, px in zip(centres, lenses, middles, strict=True)])
 
     def anchor(self, poses: np.ndarray) -> Anchor:
