@@ -57,17 +57,25 @@ class Moments:
     Attributes:
         places: numbers of the clip's frames, each with the next one of the video after it.
         time_s: (T,) per camera: when each of the clip's frames begins.
+        common_s: (T,) the moment to which its features are moved: the mean of when the cameras read their middle line.
     """
 
     places: np.ndarray
     time_s: list[np.ndarray]
+    common_s: np.ndarray
 
     @classmethod
-    def of(cls, numbers: np.ndarray, time_s: list[np.ndarray]) -> Moments:
+    def of(cls, numbers: np.ndarray, time_s: list[np.ndarray], cameras: list[Camera]) -> Moments:
         """Choose from frames of these numbers (T,) in the dataset, increasing; held-out ones lack."""
         pairs = np.flatnonzero(np.diff(numbers) == 1)
         chosen = pairs[np.unique(np.linspace(0, len(pairs) - 1, min(MOST_FRAMES, len(pairs))).round().astype(int))]
-        return cls(chosen, time_s)
+        middle_s = [t + _lines(c) / 2 * c.row_time_s for t, c in zip(time_s, cameras, strict=True)]
+        return cls(chosen, time_s, np.mean(middle_s, 0))
+
+
+def _lines(camera: Camera) -> int:
+    """Return how many lines a camera reads one after another."""
+    return camera.height if camera.readout in ("up", "down") else camera.width
 
 
 def match_flames(
@@ -177,10 +185,7 @@ def _features(light: np.ndarray, mask: np.ndarray) -> tuple[np.ndarray, np.ndarr
 def _at_one_moment(
     pixels: np.ndarray, light: np.ndarray, later: np.ndarray, camera: Camera, moments: Moments, number: int, place: int
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return where features (N, 2) px are at the moment that is the mean of all cameras', and which could be followed.
-
-    A picture's moment is that of its middle line.
-    """
+    """Return where features (N, 2) px are at the common moment, and which could be followed."""
     import cv2
 
     if not len(pixels):
@@ -190,15 +195,13 @@ def _at_one_moment(
     window = (WINDOW_PX, WINDOW_PX)
     end, onward, _ = cv2.calcOpticalFlowPyrLK(light, later, start, np.empty_like(start), winSize=window, maxLevel=3)
     returned, again, _ = cv2.calcOpticalFlowPyrLK(later, light, end, np.empty_like(start), winSize=window, maxLevel=3)
-    apart = np.linalg.norm((np.asarray(returned) - start)[:, 0], axis=1)
+    apart = np.linalg.norm((np.asarray(returned) - start).reshape(-1, 2), axis=1)
     held = (onward[:, 0] > 0) & (again[:, 0] > 0) & (apart < MOST_APART_PX)
-    along = int(camera.readout in ("up", "down"))
-    line = pixels[:, along] - (camera.width, camera.height)[along] / 2
-    line = -line if camera.readout in ("up", "left") else line
-    common = np.mean([t[place] for t in moments.time_s])
-    late_s = times[place] - common + line * camera.row_time_s
+    line = pixels[:, int(camera.readout in ("up", "down"))]
+    line = _lines(camera) - line if camera.readout in ("up", "left") else line
+    late_s = times[place] + line * camera.row_time_s - moments.common_s[place]
     step_s = times[place + 1] - times[place]  # positive: frame times increase
-    return pixels - (end - start)[:, 0] * (late_s / step_s)[:, None], held
+    return pixels - (np.asarray(end) - start).reshape(-1, 2) * (late_s / step_s)[:, None], held
 
 
 def _matched(these: np.ndarray, those: np.ndarray) -> np.ndarray:

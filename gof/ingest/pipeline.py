@@ -298,11 +298,11 @@ def _place_by_sketch(
 ) -> Placed:
     """Place the cameras by a sketch and the flame in the frames that may be learned from."""
     train, times, lenses = np.array(read.splits.train), read.times, footage.upright_lenses
-    moments = Moments.of(train, [time_s[train] for time_s in times.time_s])
     views = [
         Camera(name, lens.width, lens.height, lens.K, np.eye(4), row_time_s, readout)
         for name, lens, row_time_s, readout in zip(footage.names, lenses, times.row_time_s, times.readout, strict=True)
     ]
+    moments = Moments.of(train, [time_s[train] for time_s in times.time_s], views)
     flame = match_flames(seen, fire_free.pictures, views, moments)
     return place_from_sketch(flame, lenses, footage.names, clues, options)
 

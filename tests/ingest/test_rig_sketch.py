@@ -154,7 +154,7 @@ def test_few_matches_that_fit_several_rigs_are_refused():
 
 def test_cameras_in_another_order_are_refused():
     cameras = rig()
-    with pytest.raises(PoseError, match="standard deviations|apart|by chance"):
+    with pytest.raises(PoseError, match="opposite order"):
         place_by_flame(flame([cameras[2], cameras[1], cameras[0]]), RigSketch.parse(SKETCH), NAMES)
 
 
@@ -186,14 +186,14 @@ def test_features_are_moved_to_one_moment():
     ]
     times = [step_s * np.arange(4), step_s * (np.arange(4) + 0.5)]
     plates = [np.zeros((size, size, 3), np.uint8)] * 2
-    found = match_flames(clips, plates, cameras, Moments.of(np.arange(4), times))
+    found = match_flames(clips, plates, cameras, Moments.of(np.arange(4), times, cameras))
     first, second = found.features.pair(0, 1)
     apart = second - first
     inside = (np.abs(first - 120) < 40).all(1) & (np.abs(apart) < 5).all(1)
     assert inside.sum() > 20
-    # The clip shows both cameras' features at one moment, but for the lines, read from the lowest on.
-    line_s = (120 - second[inside, 1]) * row_s
-    assert np.abs(np.median(apart[inside], 0) - [0, np.median(rise * line_s / step_s)]).max() < 0.2
+    # Pictures are drawn as by a global shutter, so a line that counts as read later shows what should not be risen yet.
+    line_s = (size - second[inside, 1]) * row_s
+    assert np.abs(np.median(apart[inside], 0) - [0, np.median(rise * line_s / step_s)]).max() < 0.1
 
 
 CAPTURE = Path(__file__).parents[3] / "shared/captures/capture_04/scene_0010"
@@ -217,6 +217,6 @@ def test_a_real_flame_finds_its_cameras(tmp_path):
     across = np.random.default_rng(0).normal(0, 0.15, (200, 3)) + middle
     ours = [replace(c, world_to_camera=pose) for c, pose in zip(truth.cameras, found, strict=True)]
     assert miss_px([c.world_to_camera for c in truth.cameras], ours, across) < 1.5
-    with pytest.raises(GofError, match="the flame does not hold the cameras"):
+    with pytest.raises(GofError, match="opposite order|the flame does not hold"):
         order = [videos[k] for k in (2, 1, 0)]
         ingest(replace(config, videos=order, out=tmp_path / "no", times=("400",), rig=words, baseline_m=None))
