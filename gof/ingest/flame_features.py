@@ -191,17 +191,18 @@ def _at_one_moment(
     if not len(pixels):
         return pixels, np.zeros(0, bool)
     times = moments.time_s[number]
-    start = np.float32(pixels - 0.5)[:, None]
+    start = (pixels - 0.5).astype(np.float32)[:, None]
     window = (WINDOW_PX, WINDOW_PX)
-    end, onward, _ = cv2.calcOpticalFlowPyrLK(light, later, start, np.empty_like(start), winSize=window, maxLevel=3)
-    returned, again, _ = cv2.calcOpticalFlowPyrLK(later, light, end, np.empty_like(start), winSize=window, maxLevel=3)
+    shown, onward, _ = cv2.calcOpticalFlowPyrLK(light, later, start, np.empty_like(start), winSize=window, maxLevel=3)
+    returned, again, _ = cv2.calcOpticalFlowPyrLK(later, light, shown, np.empty_like(start), winSize=window, maxLevel=3)
     apart = np.linalg.norm((np.asarray(returned) - start).reshape(-1, 2), axis=1)
     held = (onward[:, 0] > 0) & (again[:, 0] > 0) & (apart < MOST_APART_PX)
     line = pixels[:, int(camera.readout in ("up", "down"))]
     line = _lines(camera) - line if camera.readout in ("up", "left") else line
     late_s = times[place] + line * camera.row_time_s - moments.common_s[place]
     step_s = times[place + 1] - times[place]  # positive: frame times increase
-    return pixels - (np.asarray(end) - start).reshape(-1, 2) * (late_s / step_s)[:, None], held
+    motion = (np.asarray(shown) - start).reshape(-1, 2)
+    return pixels - motion * (late_s / step_s)[:, None], held
 
 
 def _matched(these: np.ndarray, those: np.ndarray) -> np.ndarray:
