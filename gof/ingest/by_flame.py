@@ -1,7 +1,8 @@
 """Poses from a sketch of the rig and the flame alone, as in the dark.
 
 Matches on the flame refine the sketch in a bundle adjustment. Where they hold little (for a flame that looks small, how
-deep it is for its width) cameras stay near the sketch. Poses are believed only when both halves of the moments lead to them.
+deep it is for its width) cameras stay near the sketch. Poses are believed only when both halves of the moments lead
+to them.
 """
 
 from __future__ import annotations
