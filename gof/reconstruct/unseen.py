@@ -32,6 +32,7 @@ VIEWS = 12  # around the flame, one every 30 degrees; and one from above
 SATURATED, OFTEN = 0.95, 0.25  # linear light; of a flame's pixels, from which share on a channel tells too little
 THICKEST = 2e-3  # of the light that passes through: what is thicker is not told apart
 BLUR = 0.4  # px; voxels are points on a grid, and drawn on another one they would beat
+FAR = 4.0  # std-devs of the light around its axis
 LEVELS = 48  # of the curve of light by thickness
 THIN, SURE = 0.1, 0.5  # of the usual thickness: below the first it tells nothing of its light, up to the second it does
 
@@ -124,7 +125,18 @@ def find_compact_flame(
         found = find_compact_emission(voxels, light[f], observation.mask[f]) if taken[f] else nothing
         return found.astype(np.float32)
 
-    return FlameLight(voxels, np.stack(map_on_cores(find, range(len(light)), progress)))
+    emission = np.stack(map_on_cores(find, range(len(light)), progress))
+    return FlameLight(voxels, np.where(_is_near(voxels, emission.sum(0, dtype=np.float64)), emission, 0))
+
+
+def _is_near(voxels: FlameVoxels, light: np.ndarray) -> np.ndarray:
+    """(V,) bool: where a clip's light (V,) >= 0 is its flame. What shines far beside it, the masks' specks or the
+    surroundings in the fire's light, is none: it would be streaks in the air from other sides."""
+    if not light.any():
+        return np.ones(len(light), bool)
+    away = voxels.center[:, :2] - np.average(voxels.center[:, :2], axis=0, weights=light)
+    away2 = (away**2).sum(1)
+    return away2 <= FAR**2 * np.average(away2, weights=light)
 
 
 def imagine_views(

@@ -7,6 +7,7 @@ import drjit as dr
 import numpy as np
 import pytest
 
+from gof.reconstruct import unseen
 from gof.reconstruct.observation import Observation
 from gof.reconstruct.optimize import measure_beyond, over_plain
 from gof.reconstruct.parameters import from_raw, splats, to_raw
@@ -172,6 +173,23 @@ def test_white_pictures_and_white_plates_are_finite():
         assert np.isfinite(unsaturated_light(dull)).all()
         views = imagined(dull)
         assert views is None or np.isfinite(views.view(0, 0).light).all()
+
+
+def test_light_far_beside_the_flame_is_none_of_it(monkeypatch):
+    """A speck of light half a metre beside a ball, in all three cameras' masks, and no flame there."""
+    cameras = arc(3)
+    far = MIDDLE + [0.45, 0.2, 0.1]
+    lengths = ball(cameras, MIDDLE, 0.12)[1] + ball(cameras, far, 0.03)[1]
+    seen = observation(np.stack([4 * lengths] * 2), cameras, (3.0, 1.0, 0.05))
+
+    def share(place, radius):
+        light = find_compact_flame(seen, 96)
+        within = np.linalg.norm(light.voxels.center - place, axis=1) < radius
+        return light.emission[:, within].sum() / light.emission.sum()
+
+    assert share(far, 0.2) == 0 and share(MIDDLE, 0.15) > 0.9
+    monkeypatch.setattr(unseen, "FAR", 100.0)
+    assert share(far, 0.2) > 0.005
 
 
 def test_light_is_pooled_in_coarser_voxels():
