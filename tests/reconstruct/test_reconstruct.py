@@ -129,7 +129,7 @@ def test_what_is_returned_is_what_is_on_disk(rising_flame, result):
     settings = read_record(ReconstructionSettings, result.parent / "settings.json")
     again = pipeline.reconstruct(Dataset.open(rising_flame), settings, result.parent)
     assert again.path == result and again.count == len(TransientGaussians.load(result))
-    assert [stage.name for stage in again.stages] == ["motion", "flow_field", "seeds", "optimize"]
+    assert [stage.name for stage in again.stages] == ["motion", "flow_field", "light", "seeds", "optimize"]
     assert again.held_out == Curve.read(result.parent).points[-1] and again.held_out.step == 200
 
 
