@@ -35,7 +35,7 @@ from gof.reconstruct.methods import OURS
 from gof.reconstruct.observation import Observation, observe
 from gof.reconstruct.shrink import shrink
 from gof.reconstruct.tomography import find_compact_emission, find_emission
-from gof.reconstruct.unseen import FlameLight, imagine_views, unsaturated_light
+from gof.reconstruct.unseen import FlameEmission, imagine_views, unsaturated_light
 from gof.reconstruct.voxels import FlameVoxels, carve
 
 LONGEST_SIDE, VOXELS, FRAMES = 320, 108, 4  # voxels: of the light at `preview`
@@ -167,7 +167,7 @@ def see_around(
 
 def score_around(case: TomographyCase, emission: np.ndarray) -> float:
     """Return the mean PSNR (dB) of the flame from the cameras around; nan without any."""
-    views = imagine_views(FlameLight(case.voxels, emission), case.observation, case.around) if case.seen else None
+    views = imagine_views(FlameEmission(case.voxels, emission), case.observation, case.around) if case.seen else None
     if views is None:
         return float("nan")
     decibels = []

@@ -84,7 +84,7 @@ class UnseenViews:
 
 
 @dataclass(frozen=True)
-class FlameLight:
+class FlameEmission:
     """The place of a clip's light in space, in F frames.
 
     Attributes:
@@ -109,7 +109,7 @@ class FlameLight:
 
 def find_compact_flame(
     observation: Observation, longest_side: int, progress: Callable[..., None] | None = None
-) -> FlameLight:
+) -> FlameEmission:
     """Return a clip's light by `find_compact_emission`, of what its pictures show unsaturated.
 
     Args:
@@ -126,12 +126,12 @@ def find_compact_flame(
         return found.astype(np.float32)
 
     emission = np.stack(map_on_cores(find, range(len(light)), progress))
-    return FlameLight(voxels, np.where(_is_near(voxels, emission.sum(0, dtype=np.float64)), emission, 0))
+    return FlameEmission(voxels, np.where(_is_near(voxels, emission.sum(0, dtype=np.float64)), emission, 0))
 
 
 def _is_near(voxels: FlameVoxels, light: np.ndarray) -> np.ndarray:
-    """(V,) bool: where a clip's light (V,) >= 0 is its flame. What shines far beside it, the masks' specks or the
-    surroundings in the fire's light, is none: it would be streaks in the air from other sides."""
+    """(V,) bool: where a clip's light (V,) >= 0 is its flame. Masks' specks and surroundings in the fire's light,
+    which shine far beside it, are none: they would be streaks in the air from other sides."""
     if not light.any():
         return np.ones(len(light), bool)
     away = voxels.center[:, :2] - np.average(voxels.center[:, :2], axis=0, weights=light)
@@ -140,7 +140,7 @@ def _is_near(voxels: FlameVoxels, light: np.ndarray) -> np.ndarray:
 
 
 def imagine_views(
-    light: FlameLight, observation: Observation, cameras: list[Camera] | None = None
+    light: FlameEmission, observation: Observation, cameras: list[Camera] | None = None
 ) -> UnseenViews | None:
     """Return how a clip's light looks from all around; None where it is dark.
 

@@ -31,9 +31,9 @@ def test_a_flame_far_from_zero_is_the_flame_around_zero(near, tmp_path):
     assert there.datum.time_s == FAR.time_s
     weight = there.opacity[:, None]
     middle = (weight * there.position).sum(0) / weight.sum()
-    np.testing.assert_allclose(
-        middle + shift, (here.opacity[:, None] * here.position).sum(0) / here.opacity.sum(), atol=0.01
-    )
+    expected = (here.opacity[:, None] * here.position).sum(0) / here.opacity.sum()
+    # Half a voxel: on the very edge of a mask one may fall to either side, and then seeds are other ones.
+    np.testing.assert_allclose(middle + shift, expected, atol=0.02)
     for result in (made, made.with_suffix(".ply"), there):
         scores = evaluate(result, Dataset.open(far))
         true = evaluate(around_zero, Dataset.open(folder))
