@@ -33,6 +33,7 @@ SATURATED, OFTEN = 0.95, 0.25  # linear light; of a flame's pixels, from which s
 THICKEST = 2e-3  # of the light that passes through: what is thicker is not told apart
 BLUR = 0.4  # px; voxels are points on a grid, and drawn on another one they would beat
 FAR = 4.0  # std-devs of the light around its axis
+UNLIKE = 1.5  # times the usual light, from which on a camera's exposure is another one; a flame is cut off by less
 LEVELS = 48  # of the curve of light by thickness
 THIN, SURE = 0.1, 0.5  # of the usual thickness: below the first it tells nothing of its light, up to the second it does
 
@@ -118,6 +119,7 @@ def find_compact_flame(
     """
     voxels = carve(observation.cameras, observation.mask, longest_side, blocked=observation.blocked)
     light = unsaturated_light(observation)
+    light *= find_gains(voxels, light, observation.mask).astype(np.float32)[:, None, None]
     taken = observation.delivered.all(1)
     nothing = np.zeros(len(voxels.center), np.float32)
 
@@ -127,6 +129,21 @@ def find_compact_flame(
 
     emission = np.stack(map_on_cores(find, range(len(light)), progress))
     return FlameEmission(voxels, np.where(_is_near(voxels, emission.sum(0, dtype=np.float64)), emission, 0))
+
+
+def find_gains(voxels: FlameVoxels, light: np.ndarray, mask: np.ndarray) -> np.ndarray:
+    """Return (C,) factors that make cameras with another exposure as bright as the others, 1 for all that differ little.
+
+    All see one flame, so the light in their pictures, each pixel as large as it is at the flame, adds up to the same.
+
+    Args:
+        light: (F, C, H, W) >= 0, which adds up along rays.   mask: (F, C, H, W) bool.
+    """
+    pixels_per_m = np.nanmedian(np.abs(voxels.jacobian).max((-1, -2)), axis=1)
+    total = np.einsum("fchw,fchw->c", light, mask, dtype=np.float64) / pixels_per_m**2
+    usual = np.median(total[total > 0]) if (total > 0).any() else 1.0
+    gain = usual / np.where(total > 0, total, usual)
+    return np.where((gain > UNLIKE) | (gain < 1 / UNLIKE), gain, 1.0)
 
 
 def _is_near(voxels: FlameVoxels, light: np.ndarray) -> np.ndarray:

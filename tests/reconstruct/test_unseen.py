@@ -175,6 +175,21 @@ def test_white_pictures_and_white_plates_are_finite():
         assert views is None or np.isfinite(views.view(0, 0).light).all()
 
 
+def test_a_camera_with_another_exposure_is_brought_to_the_others():
+    """Exact path lengths of one ball, by cameras at three distances: one of them has a quarter of the light, or all."""
+    away = (2.5, 3.0, 3.6)
+    cameras = [replace(arc(3, radius=r)[k], name=f"cam_{k}") for k, r in enumerate(away)]
+    masks, lengths = ball(cameras, MIDDLE, RADIUS)
+    voxels = carve(cameras, masks[None], 32)
+    for part, expected in ((0.25, 4.0), (1.0, 1.0), (0.8, 1.0)):
+        light = np.stack([lengths * np.reshape([1, part, 1], (3, 1, 1))] * 2)
+        gains = unseen.find_gains(voxels, light, np.stack([masks] * 2))
+        assert gains == pytest.approx([1, expected, 1], rel=0.1)
+    assert unseen.find_gains(voxels, 0 * light, np.stack([masks] * 2)).tolist() == [1, 1, 1]
+    one_dark = light * np.reshape([1, 0, 1], (3, 1, 1))
+    assert unseen.find_gains(voxels, one_dark, np.stack([masks] * 2)).tolist() == [1, 1, 1]
+
+
 def test_light_far_beside_the_flame_is_none_of_it(monkeypatch):
     """A speck of light half a metre beside a ball, in all three cameras' masks, and no flame there."""
     cameras = arc(3)
