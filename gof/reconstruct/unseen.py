@@ -33,7 +33,7 @@ SATURATED, OFTEN = 0.95, 0.25  # linear light; of a flame's pixels, from which s
 THICKEST = 2e-3  # of the light that passes through: what is thicker is not told apart
 BLUR = 0.4  # px; voxels are points on a grid, and drawn on another one they would beat
 FAR = 4.0  # std-devs of the light around its axis
-UNLIKE = 1.5  # times the usual light, from which on a camera's exposure is another one; a flame is cut off by less
+UNLIKE = 1.5  # times the usual light, from which on a camera's exposure is another; flames are cut off by less
 LEVELS = 48  # of the curve of light by thickness
 THIN, SURE = 0.1, 0.5  # of the usual thickness: below the first it tells nothing of its light, up to the second it does
 
@@ -132,7 +132,7 @@ def find_compact_flame(
 
 
 def find_gains(voxels: FlameVoxels, light: np.ndarray, mask: np.ndarray) -> np.ndarray:
-    """Return (C,) factors that make cameras with another exposure as bright as the others, 1 for all that differ little.
+    """Return (C,) factors that make cameras with another exposure as bright as the others; 1 where they differ little.
 
     All see one flame, so the light in their pictures, each pixel as large as it is at the flame, adds up to the same.
 
