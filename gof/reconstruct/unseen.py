@@ -32,8 +32,8 @@ VIEWS = 12  # around the flame, one every 30 degrees; and one from above
 SATURATED, OFTEN = 0.95, 0.25  # linear light; of a flame's pixels, from which share on a channel tells too little
 THICKEST = 2e-3  # of the light that passes through: what is thicker is not told apart
 BLUR = 0.4  # px; voxels are points on a grid, and drawn on another one they would beat
-FAR = 4.0  # std-devs of the light around its axis
-UNLIKE = 1.5  # times the usual light, from which on a camera's exposure is another; flames are cut off by less
+FAR, ANOTHER = 4.0, 0.02  # std-devs of the light around its axis; of all light, from which on it is another flame
+UNLIKE = 1.5  # times the usual light, from which on a camera's exposure is another
 LEVELS = 48  # of the curve of light by thickness
 THIN, SURE = 0.1, 0.5  # of the usual thickness: below the first it tells nothing of its light, up to the second it does
 
@@ -134,13 +134,14 @@ def find_compact_flame(
 def find_gains(voxels: FlameVoxels, light: np.ndarray, mask: np.ndarray) -> np.ndarray:
     """Return (C,) factors that make cameras with another exposure as bright as the others; 1 where they differ little.
 
-    All see one flame, so the light in their pictures, each pixel as large as it is at the flame, adds up to the same.
+    All see one flame: summed over the voxels that all have in view, the light before or behind them is about the same.
 
     Args:
         light: (F, C, H, W) >= 0, which adds up along rays.   mask: (F, C, H, W) bool.
     """
-    pixels_per_m = np.nanmedian(np.abs(voxels.jacobian).max((-1, -2)), axis=1)
-    total = np.einsum("fchw,fchw->c", light, mask, dtype=np.float64) / pixels_per_m**2
+    shown = np.einsum("fchw,fchw->chw", light, mask, dtype=np.float64)
+    seen = voxels.sample(shown, outside=np.nan)
+    total = seen[:, np.isfinite(seen).all(0)].sum(1)
     usual = np.median(total[total > 0]) if (total > 0).any() else 1.0
     gain = usual / np.where(total > 0, total, usual)
     return np.where((gain > UNLIKE) | (gain < 1 / UNLIKE), gain, 1.0)
@@ -148,12 +149,13 @@ def find_gains(voxels: FlameVoxels, light: np.ndarray, mask: np.ndarray) -> np.n
 
 def _is_near(voxels: FlameVoxels, light: np.ndarray) -> np.ndarray:
     """(V,) bool: where a clip's light (V,) >= 0 is its flame. Masks' specks and surroundings in the fire's light,
-    which shine far beside it, are none: they would be streaks in the air from other sides."""
+    which shine far beside it, are none: they would be streaks in the air from other sides. More light is a flame."""
     if not light.any():
         return np.ones(len(light), bool)
     away = voxels.center[:, :2] - np.average(voxels.center[:, :2], axis=0, weights=light)
     away2 = (away**2).sum(1)
-    return away2 <= FAR**2 * np.average(away2, weights=light)
+    near = away2 <= FAR**2 * np.average(away2, weights=light)
+    return near if light[~near].sum() < ANOTHER * light.sum() else np.ones(len(light), bool)
 
 
 def imagine_views(

@@ -186,6 +186,14 @@ def test_a_camera_with_another_exposure_is_brought_to_the_others():
         gains = unseen.find_gains(voxels, light, np.stack([masks] * 2))
         assert gains == pytest.approx([1, expected, 1], rel=0.1)
     assert unseen.find_gains(voxels, 0 * light, np.stack([masks] * 2)).tolist() == [1, 1, 1]
+    seen_in_part = replace(cameras[1], height=cameras[1].height // 2)  # its picture ends in the middle of the ball
+    cut = np.where(np.arange(lengths.shape[1])[:, None] < seen_in_part.height, lengths, 0)
+    voxels = carve([cameras[0], seen_in_part, cameras[2]], masks[None], 32)
+    outside = voxels.pixel[1, :, 1] >= seen_in_part.height
+    voxels.pixel[1, outside] = np.nan
+    light = np.stack([np.stack([lengths[0], cut[1], lengths[2]])] * 2)
+    assert outside.mean() > 0.3
+    assert unseen.find_gains(voxels, light, np.stack([masks] * 2)).tolist() == [1, 1, 1], "a cut-off flame is not dim"
     one_dark = light * np.reshape([1, 0, 1], (3, 1, 1))
     assert unseen.find_gains(voxels, one_dark, np.stack([masks] * 2)).tolist() == [1, 1, 1]
 
@@ -205,6 +213,9 @@ def test_light_far_beside_the_flame_is_none_of_it(monkeypatch):
     assert share(far, 0.2) == 0 and share(MIDDLE, 0.15) > 0.9
     monkeypatch.setattr(unseen, "FAR", 100.0)
     assert share(far, 0.2) > 0.005
+    monkeypatch.setattr(unseen, "FAR", 4.0)
+    monkeypatch.setattr(unseen, "ANOTHER", 0.005)
+    assert share(far, 0.2) > 0.005, "so bright, it is another flame"
 
 
 def test_light_is_pooled_in_coarser_voxels():
