@@ -12,6 +12,8 @@ UP = np.array([0.0, 0.0, 1.0])
 TURNS = 2  # times that a flame is found again from what it is on the average all around its axis
 POOLED = 1.5  # layers, std-dev over which its middle is found
 BETWEEN = (0.7, 0.5)  # layers and rings, std-dev over which their means are smoothed: a grid's rings are jagged
+COARSE = 4.0  # voxels, std-dev: finer than that, a flame's sides have licks of their own
+DIMMEST, FACTORS = 1e-3, (0.05, 4.0)  # of the brightest, below which a mean tells nothing; by which it may be changed
 SMOOTH = 0.4  # voxels, std-dev by which a compact flame is smoothed between two iterations
 POWER = 1.1  # that draws its light together in each; 1 leaves more of it along the rays
 NEAR = 3.0  # voxels, std-dev: light so near to each other has its middle at the same depth
@@ -105,9 +107,11 @@ def find_compact_emission(
 
 
 def turn_around(voxels: FlameVoxels, emission: np.ndarray, hull: np.ndarray) -> np.ndarray:
-    """Return (V,) the mean emission as far from its flame's middle, at the same height (+z is up).
+    """Return (V,) the mean emission as far from its flame's middle, at the same height (+z is up), as deep as wide.
 
-    Flames that burn side by side have a middle each; that of a flame may wander from height to height.
+    Flames that burn side by side have a middle each; that of a flame may wander from height to height. A mean over
+    rings has a long tail where light was smeared along the rays. Where all cameras look from one side, a flame's
+    outline as they see it, coarsely, is that of the other side, too (`_match_front`).
 
     Args:
         emission: (V,) >= 0, some of it > 0.   hull: (V,) bool, voxels that the mean is of.
@@ -125,8 +129,8 @@ def turn_around(voxels: FlameVoxels, emission: np.ndarray, hull: np.ndarray) -> 
 
     light = np.maximum(pool(emission), np.finfo(np.float64).tiny)
     middle = np.stack([pool(emission * place) / light for place in voxels.center[:, :2].T], -1)
-    away = np.linalg.norm(voxels.center[:, :2] - middle[flame, layer], axis=1) / voxels.voxel_size
-    ring = np.minimum(np.rint(away).astype(np.int64), size[2] - 1)
+    offset = (voxels.center[:, :2] - middle[flame, layer]) / voxels.voxel_size
+    ring = np.minimum(np.rint(np.linalg.norm(offset, axis=1)).astype(np.int64), size[2] - 1)
     place = np.ravel_multi_index((flame, layer, ring), size)
 
     def smoothed(values: np.ndarray) -> np.ndarray:
@@ -134,7 +138,43 @@ def turn_around(voxels: FlameVoxels, emission: np.ndarray, hull: np.ndarray) -> 
         return gaussian_filter(sums, (0, *BETWEEN)).ravel()[place]
 
     count = smoothed(hull.astype(np.float64))
-    return np.where(hull, smoothed(np.where(hull, emission, 0)) / np.where(hull, count, 1), 0)
+    mean = np.where(hull, smoothed(np.where(hull, emission, 0)) / np.where(hull, count, 1), 0)
+    ahead = _common_ray(voxels)
+    if ahead is None:
+        return mean
+    level = ahead[:2] / np.hypot(*ahead[:2])
+    return mean * _match_front(flame, layer, offset @ [-level[1], level[0]], offset @ level, emission, mean)
+
+
+def _match_front(
+    flame: np.ndarray, layer: np.ndarray, across: np.ndarray, along: np.ndarray, emission: np.ndarray, mean: np.ndarray
+) -> np.ndarray:
+    """Return (V,) factors that draw a mean all around to what its flame is from the front, coarsely and mirrored.
+
+    They compare the front with the mean as it is from the front, where the hull cuts it off, and from the side, where
+    its tail is: the geometric mean of both. Figures of each: notebook/reconstruction.md.
+
+    Args:
+        flame, layer: (V,) int.   across, along: (V,) voxels from the flame's middle, across and along the rays.
+        emission: (V,) >= 0, as cameras see it.   mean: (V,) >= 0, of it all around.
+    """
+    from scipy.ndimage import gaussian_filter  # here: it takes long to load
+
+    half = int(np.ceil(max(np.abs(across).max(), np.abs(along).max()))) + 1
+    shape = flame.max() + 1, layer.max() + 1, 2 * half + 1
+    from_front, from_side = (
+        np.ravel_multi_index((flame, layer, np.rint(distance).astype(np.int64) + half), shape)
+        for distance in (across, along)
+    )
+
+    def look(column: np.ndarray, values: np.ndarray) -> np.ndarray:
+        profile = np.bincount(column, values, np.prod(shape)).reshape(shape)
+        return gaussian_filter(profile + profile[..., ::-1], (0, COARSE, COARSE))
+
+    even = np.sqrt(look(from_front, mean) * look(from_side, mean))
+    tells = even > DIMMEST * even.max()
+    factor = np.where(tells, look(from_front, emission) / np.where(tells, even, 1), 0)
+    return np.clip(factor, *FACTORS).ravel()[from_side]
 
 
 def _hull_and_views(
@@ -164,13 +204,8 @@ def round_flame(voxels: FlameVoxels, emission: np.ndarray) -> np.ndarray:
     Args:
         emission: (V,) >= 0, that reproduces the views.
     """
-    rays = np.cross(voxels.jacobian[:, :, 0], voxels.jacobian[:, :, 1])
-    rays = np.where(np.isfinite(rays), rays, 0).sum(1)  # NaN: a voxel beside or behind the camera
-    length = np.linalg.norm(rays, axis=1)
-    rays = rays[length > 0] / length[length > 0, None]
-    common, axes = np.linalg.eigh(rays.T @ rays / max(len(rays), 1))
-    ahead = axes[:, 2]
-    if common[2] - common[1] < ONE_SIDE or abs(ahead[2]) > STEEP:
+    ahead = _common_ray(voxels)
+    if ahead is None:
         return np.ones(len(emission))
     from scipy.ndimage import gaussian_filter  # here: it takes long to load
 
@@ -187,10 +222,21 @@ def round_flame(voxels: FlameVoxels, emission: np.ndarray) -> np.ndarray:
     light = look(emission)
     around = np.maximum(gaussian_filter(light, NEAR, mode="constant"), np.finfo(np.float32).tiny)
     middle = (gaussian_filter(look(emission * depth), NEAR, mode="constant") / around).ravel()[column]
-    away = depth - middle if len(rays) > 1 else voxels.center[:, :2] @ ahead[:2] / np.hypot(*ahead[:2])
+    away = depth - middle if len(voxels.forward) > 1 else voxels.center[:, :2] @ ahead[:2] / np.hypot(*ahead[:2])
     width = gaussian_filter(_inner_radius(light > OUTLINE * gaussian_filter(light, 2 * NEAR, mode="constant")), 1.0) / 2
     away2 = (away / (np.maximum(width, 1) * voxels.voxel_size).ravel()[column]) ** 2
     return np.exp(-0.5 * np.minimum(away2, FAINTEST))
+
+
+def _common_ray(voxels: FlameVoxels) -> np.ndarray | None:
+    """Return (3,) the cameras' common direction; None where they stand all around, or look down steeply."""
+    rays = np.cross(voxels.jacobian[:, :, 0], voxels.jacobian[:, :, 1])
+    rays = np.where(np.isfinite(rays), rays, 0).sum(1)  # NaN: a voxel beside or behind the camera
+    length = np.linalg.norm(rays, axis=1)
+    rays = rays[length > 0] / length[length > 0, None]
+    common, axes = np.linalg.eigh(rays.T @ rays / max(len(rays), 1))
+    ahead = axes[:, 2]
+    return None if common[2] - common[1] < ONE_SIDE or abs(ahead[2]) > STEEP else ahead
 
 
 def _inner_radius(shape: np.ndarray) -> np.ndarray:

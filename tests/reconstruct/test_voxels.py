@@ -252,6 +252,34 @@ def test_the_mean_all_around_is_of_each_flame_alone():
     assert turned[front].mean() / turned[back].mean() < 1.25, "2 before"
 
 
+def test_light_smeared_along_the_rays_comes_back_less_deep():
+    """An ellipsoid three times as deep as wide, by closed form: its views say how wide it is, a mean over rings does
+    not. Cameras all around know how deep it is, and nothing is taken from what they say."""
+    cameras, middle, radius = arc(3), np.array([0.05, -0.1, 1.0]), 0.12
+    masks, _ = ball(cameras, middle, 3 * radius)
+    voxels = carve(cameras, masks[None], 72)
+    offset = voxels.center - middle
+    along = offset @ cameras[1].world_to_camera[2, :3]
+    away2 = ((offset**2).sum(1) - along**2) / radius**2 + (along / (3 * radius)) ** 2
+    light, hull = np.where(away2 < 1, 1.0, 0.0), np.ones(len(offset), bool)
+    quarter = voxels.jacobian[1] @ np.array([[0.0, 1, 0], [-1, 0, 0], [0, 0, 1]])
+    everywhere = replace(voxels, jacobian=np.stack([quarter, voxels.jacobian[1]]))
+    mean = turn_around(everywhere, light, hull)
+    assert np.divide(*depth_and_width(voxels, mean, cameras[1], middle)) == pytest.approx(1, rel=0.02)
+    depth, width = depth_and_width(voxels, turn_around(voxels, light, hull), cameras[1], middle)
+    assert depth < 0.8 * width, "its width is for the next iteration, which meets the views"
+
+
+def test_light_in_a_single_voxel_is_turned_without_a_hole():
+    """The bad point of the quotient: heights without any light, and a mean that is 0 beside them."""
+    cameras = arc(3)
+    voxels = carve(cameras, ball(cameras)[0][None], 12)
+    light = np.zeros(len(voxels.center))
+    light[len(light) // 2] = 1.0
+    turned = turn_around(voxels, light, np.ones(len(light), bool))
+    assert np.isfinite(turned).all() and (turned >= 0).all() and turned.any()
+
+
 def test_compact_light_is_in_the_views_own_unit():
     """Twice the light is twice the emission, and a frame's emission is that of its pictures, as plain EM has it."""
     cameras, masks, lengths, _, _ = two_balls(3)
