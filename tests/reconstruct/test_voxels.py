@@ -270,6 +270,30 @@ def test_light_smeared_along_the_rays_comes_back_less_deep():
     assert depth < 0.8 * width, "its width is for the next iteration, which meets the views"
 
 
+def test_a_flame_that_is_seen_to_be_deep_stays_deep():
+    """An ellipsoid twice as deep as wide, path lengths by closed form: views 35 degrees apart see how deep it is."""
+    middle, cameras = np.array([0.05, -0.1, 1.0]), []
+    for k, angle in enumerate(np.deg2rad([-35, 0, 35])):
+        cameras.append(look_at(f"cam_{k}", middle + 3 * np.array([np.sin(angle), -np.cos(angle), 0]), middle))
+    across, along = 0.12, 0.24
+    forward = cameras[1].world_to_camera[2, :3]
+    to_ball = np.eye(3) / across + np.outer(forward, forward) * (1 / along - 1 / across)
+    lengths = []
+    for camera in cameras:
+        rows, columns = np.mgrid[: camera.height, : camera.width] + 0.5
+        pixels = np.stack([columns, rows, np.ones_like(rows)], -1)
+        rays = pixels @ np.linalg.inv(camera.K).T @ camera.world_to_camera[:3, :3]
+        start = to_ball @ (camera.position - middle)
+        turned = rays / np.linalg.norm(rays, axis=-1, keepdims=True) @ to_ball
+        square, half = (turned**2).sum(-1), turned @ start
+        lengths.append(2 * np.sqrt(np.maximum(half**2 - square * (start @ start - 1), 0)) / square)
+    lengths = np.stack(lengths)
+    voxels = carve(cameras, (lengths > 0)[None], 60)
+    emission = find_compact_emission(voxels, lengths, lengths > 0)
+    depth, width = depth_and_width(voxels, emission, cameras[1], middle)
+    assert 1.6 < depth / width < 2.1
+
+
 def test_light_in_a_single_voxel_is_turned_without_a_hole():
     """The bad point of the quotient: heights without any light, and a mean that is 0 beside them."""
     cameras = arc(3)
