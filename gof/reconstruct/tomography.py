@@ -107,7 +107,7 @@ def find_compact_emission(
 
 
 def turn_around(voxels: FlameVoxels, emission: np.ndarray, hull: np.ndarray) -> np.ndarray:
-    """Return (V,) the mean emission as far from its flame's middle, at the same height (+z is up), as deep as wide.
+    """Return (V,) the mean emission of each ring around a flame's middle, drawn to be as deep as wide (+z is up).
 
     Flames that burn side by side have a middle each; that of a flame may wander from height to height. A mean over
     rings has a long tail where light was smeared along the rays. Where all cameras look from one side, a flame's
