@@ -23,6 +23,7 @@ from gof.look.animation import original
 from gof.look.tiles import Tile, depth_tile, dimmed, picture_tile, velocity_tile
 from gof.look.velocity import fastest, of_result, true_there, unit
 from gof.reconstruct.flow_field import FlowField, FrameField
+from gof.reconstruct.observation import own_part
 from gof.reconstruct.run_inputs import RunInputs
 from gof.render import render
 
@@ -107,7 +108,7 @@ class _FrameTiles:
     def pictures(self) -> list[Tile]:
         """Show what was filmed, what is behind the fire, and where the fire is."""
         image, plate = self.dataset.image(self.number, self.frame), self.dataset.static(self.number)
-        mask = self.inputs.observation.mask[self.f, self.number]
+        mask = own_part(self.inputs.observation.mask[self.f, self.number], self.small)
         small = self.inputs.dataset.image(self.number, self.frame)
         shown = replace(picture_tile(dimmed(small, 0.3 + 0.7 * mask), "flame mask"), outline=mask)
         return [picture_tile(image, f"picture ({original(self.dataset)})"), picture_tile(plate, "background"), shown]
@@ -168,8 +169,9 @@ class _FrameTiles:
 
     def optical_flow(self) -> Tile:
         """Return where it is known and flame is, px/s of the pictures that the run has seen."""
-        flow = self.inputs.observation.flow[self.f, self.number]
-        known = np.isfinite(flow).all(-1) & self.inputs.observation.mask[self.f, self.number]
+        observation = self.inputs.observation
+        flow, mask = (own_part(seen[self.f, self.number], self.small) for seen in (observation.flow, observation.mask))
+        known = np.isfinite(flow).all(-1) & mask
         longest = float(np.percentile(np.linalg.norm(flow[known], axis=-1), 98)) if known.any() else 0.0
         shown = ScreenVelocity(np.where(known[..., None], flow, 0), known.astype(float))
         size = f"{self.small.width} x {self.small.height} px"

@@ -5,8 +5,8 @@ Held-out frames are never read here, and no flow uses one (paper, "Results": eve
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import cv2
@@ -30,7 +30,9 @@ GROWN_BY = np.ones((5, 5), np.uint8)
 
 @dataclass(frozen=True)
 class Observation:
-    """The observation of C cameras in the F training frames, pictures of H x W pixels.
+    """The observation of C cameras in the F training frames, pictures of H x W pixels, the largest camera's.
+
+    Smaller pictures stand in the upper left corner of theirs (`own_part`); what is beyond them is black and `blocked`.
 
     Attributes:
         cameras: C.
@@ -45,7 +47,7 @@ class Observation:
         allowed: (F, C, H, W) bool, where flame Gaussians may shine: `mask`, or somewhat more.
         flow: (F, C, H, W, 2) float32 pixels per second; NaN where no trustworthy flow exists.
         delivered: (F, C) bool, False where a camera gave no picture (a black frame in its place).
-        blocked: (C, H, W) bool, where something still stands before the flame.
+        blocked: (C, H, W) bool, where something still stands before the flame, or no picture is.
     """
 
     cameras: list[Camera]
@@ -62,6 +64,15 @@ class Observation:
     delivered: np.ndarray
     blocked: np.ndarray
 
+    def without_motion(self) -> Observation:
+        """Return it with pictures of no pixels as `intensity` and `flow`: what no seed, nor step, needs any more."""
+        return replace(self, intensity=self.intensity[..., :0, :0].copy(), flow=self.flow[..., :0, :0, :].copy())
+
+
+def own_part(picture: np.ndarray, camera: Camera) -> np.ndarray:
+    """Return what a camera of the dataset really took of a picture (H, W, ...) of an `Observation`; a view."""
+    return picture[: camera.height, : camera.width]
+
 
 def light_above(image: np.ndarray, static: np.ndarray) -> np.ndarray:
     """Linear light above the fire-free plate, (H, W, 3) >= 0. image and static (H, W, 3) display sRGB.
@@ -76,7 +87,8 @@ def was_delivered(images: np.ndarray, static: np.ndarray) -> np.ndarray:
 
     Fire only adds light, so a picture with less than half of its plate's light was not taken of this scene.
     """
-    return np.minimum(images, static).mean((1, 2, 3)) >= 0.5 * static.mean()
+    light = [np.minimum(image, static).mean() for image in images]  # one by one: a clip takes gigabytes
+    return np.array(light) >= 0.5 * static.mean()
 
 
 def flow_picture(image: np.ndarray, static: np.ndarray) -> np.ndarray:
@@ -192,12 +204,15 @@ class _CameraObservation(NamedTuple):
     delivered: np.ndarray
 
 
-def _view(dataset: Dataset, camera: int, frames: np.ndarray, method: Method) -> _CameraObservation:
+def _view(dataset: Dataset, camera: int, frames: np.ndarray, method: Method, image: np.ndarray) -> _CameraObservation:
+    """Return what a camera saw; image: (F, H, W, 3) float32, which is filled with its pictures."""
     static = dataset.static(camera)
-    image = np.stack([dataset.image(camera, k) for k in frames])
     counts = dataset.board_weight(camera)
-    if counts is not None:  # on the sync board like the plate: its LEDs are no fire and hide the flame behind them
-        image = static + counts[..., None] * (image - static)
+    for i, k in enumerate(frames):
+        picture = dataset.image(camera, k)
+        if counts is not None:  # on the sync board like the plate: its LEDs are no fire and hide the flame behind them
+            picture = static + counts[..., None] * (picture - static)
+        image[i] = picture
     mask = np.stack([flame_mask(picture, static) for picture in image])
     delivered = was_delivered(image, static)
     unseen = ~delivered[:, None, None]
@@ -228,59 +243,81 @@ def observe(
     frames = np.array(sorted(dataset.train_frames))
     if not len(frames):
         raise DataFormatError(f"{dataset.path}: splits.train is empty; nothing to reconstruct from")
-    views = map_on_cores(lambda c: _view(dataset, c, frames, method), range(len(dataset.cameras)))
+    own, height, width = list(dataset.cameras), *_largest(dataset.cameras)
+    # A clip's pictures take gigabytes: they are read to their place, and held once.
+    image = np.zeros((len(frames), len(own), height, width, 3), np.float32)
+
+    def view_of(c: int) -> _CameraObservation:
+        return _view(dataset, c, frames, method, image[:, c, : own[c].height, : own[c].width])
+
+    views = map_on_cores(view_of, range(len(own)))
     if not any(view.mask.any() for view in views):
         raise DataFormatError(
             f"{dataset.path}: no flame found in any training frame (nothing rises above the static plates)"
         )
-    cameras = list(dataset.cameras)
     picture, velocity_at = (
         (flow_picture, checked_velocity(flow)) if method.flow_of_light else (colour_picture, velocity_ahead(flow))
     )
-    velocity = _flow(views, frames, picture, velocity_at, progress)
-    mask = allowed = np.stack([view.mask for view in views], axis=1)
+    velocity = np.full((*image.shape[:-1], 2), np.nan, np.float32)
+    _find_flow(velocity, views, frames, picture, velocity_at, progress)
+    mask, intensity = np.zeros(image.shape[:-1], bool), np.zeros(image.shape[:-1], np.float32)
+    static, plate, beyond = np.zeros(image.shape[1:], np.float32), np.zeros(image.shape[1:], np.float32), []
+    for c, view in enumerate(views):
+        h, w = view.static.shape[:2]
+        static[c, :h, :w], plate[c, :h, :w], mask[:, c, :h, :w] = view.static, view.plate, view.mask
+        for f, one in enumerate(view.image):
+            intensity[f, c, :h, :w] = light_above(one, view.plate).mean(-1)
+        beyond.append((np.arange(height)[:, None] >= h) | (np.arange(width) >= w))
+    allowed = mask
     if method.flow_masks:
         mask, allowed = flow_masks(velocity, dataset.frame_time_s)
         if not mask.any():
             raise DataFormatError(f"{dataset.path}: nothing moves by more than {MOVING_PX} px a frame")
-    intensity = np.stack([_intensity(view) for view in views], axis=1)
+    cameras = [camera.cropped(0, 0, width, height) for camera in own]
+    hidden = blocked_views(cameras, mask, intensity) if method.vetoes else np.zeros(mask.shape[1:], bool)
     return Observation(
         cameras=cameras,
         frames=frames,
         time_s=dataset.times_s[frames],
-        camera_time_s=np.stack([view.times_s[frames] for view in views]),
-        image=np.stack([view.image for view in views], axis=1),
-        static=np.stack([view.static for view in views]),
-        plate=np.stack([view.plate for view in views]),
+        camera_time_s=np.stack(
+            [v.times_s[frames] - _lines_added(c, height, width) * c.row_time_s for v, c in zip(views, own, strict=True)]
+        ),
+        image=image,
+        static=static,
+        plate=plate,
         intensity=intensity,
         mask=mask,
         allowed=allowed,
         flow=velocity,
         delivered=np.stack([view.delivered for view in views], axis=1),
-        blocked=blocked_views(cameras, mask, intensity) if method.vetoes else np.zeros(mask.shape[1:], bool),
+        blocked=hidden | np.stack(beyond),
     )
 
 
-def _intensity(view: _CameraObservation) -> np.ndarray:
-    """(F, H, W) linear light above the plate."""
-    return np.stack([light_above(image, view.plate).mean(-1) for image in view.image])
+def _largest(cameras: Sequence[Camera]) -> tuple[int, int]:
+    return max(camera.height for camera in cameras), max(camera.width for camera in cameras)
 
 
-def _flow(
+def _lines_added(camera: Camera, height: int, width: int) -> int:
+    """How many lines a rolling shutter would read of a picture of that size, before those that the camera has."""
+    return {"up": height - camera.height, "left": width - camera.width}.get(camera.readout, 0)
+
+
+def _find_flow(
+    velocity: np.ndarray,
     views: list[_CameraObservation],
     frames: np.ndarray,
     picture: Callable[[np.ndarray, np.ndarray], np.ndarray],
     velocity_at: FrameVelocity,
     progress: Callable[..., None] | None,
-) -> np.ndarray:
-    """(F, C, H, W, 2) px/s; args as `observe`."""
+) -> None:
+    """Fill velocity (F, C, H, W, 2) with px/s; other args as `observe`."""
     pictures = [
         {int(k): picture(image, view.plate) for k, image in zip(frames, view.image, strict=True)} for view in views
     ]
-    velocity = np.empty((len(frames), len(views), *views[0].static.shape[:2], 2), np.float32)
     for c, (view, seen) in enumerate(zip(views, pictures, strict=True)):
+        h, w = view.static.shape[:2]
         for i, k in enumerate(frames):  # one after the other, as neighbours share their flow
-            velocity[i, c] = velocity_at(seen, view.times_s, int(k))
+            velocity[i, c, :h, :w] = velocity_at(seen, view.times_s, int(k))
             if progress:
                 progress(c * len(frames) + i + 1, len(views) * len(frames))
-    return velocity

@@ -297,7 +297,10 @@ def united(sets: list[np.ndarray], count: int) -> np.ndarray:
 
 
 class TrainingPictures:
-    """The delivered training pictures' windows, each brought to the renderer when it is first drawn against."""
+    """The delivered training pictures' windows, each brought to the renderer when it is drawn against.
+
+    Made ready again every time: a fiftieth of a step, and kept they would take as much memory as all else.
+    """
 
     def __init__(self, observation: Observation, windows: Windows, unseen: UnseenViews | None = None):
         self._observation, self._windows = observation, windows
@@ -305,8 +308,6 @@ class TrainingPictures:
         self._delivered = np.argwhere(observation.delivered)
         self._epoch: tuple[int, int] | None = None  # seed and number of the one whose order is known
         self._order = self._delivered
-        self._targets: dict[tuple[int, int], Target] = {}
-        self._outside: dict[tuple[int, int], Float] = {}
 
     def drawn(self, seed: int, step: int) -> tuple[int, int]:
         """Frame and camera of a step: every picture once an epoch, in an order of its own, the same when resumed."""
@@ -317,9 +318,8 @@ class TrainingPictures:
         return f, c
 
     def target(self, f: int, c: int) -> Target:
-        if (f, c) not in self._targets:
-            self._targets[f, c] = Target(self._windows.cut(c, self._observation.image[f, c]))
-        return self._targets[f, c]
+        """Return the picture, ready for the loss."""
+        return Target(self._windows.cut(c, self._observation.image[f, c]))
 
     def white(self, f: int, c: int) -> list[Bool]:
         """Return three planes: where the picture shows as much of a channel as it can."""
@@ -328,10 +328,8 @@ class TrainingPictures:
 
     def outside(self, f: int, c: int) -> Float:
         """1 where no flame may be, else 0."""
-        if (f, c) not in self._outside:
-            no_flame = ~self._windows.cut(c, self._observation.allowed[f, c]).ravel()
-            self._outside[f, c] = Float(np.ascontiguousarray(no_flame, np.float32))
-        return self._outside[f, c]
+        no_flame = ~self._windows.cut(c, self._observation.allowed[f, c]).ravel()
+        return Float(np.ascontiguousarray(no_flame, np.float32))
 
 
 def _loss(

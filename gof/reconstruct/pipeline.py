@@ -10,6 +10,7 @@ from __future__ import annotations
 import sys
 from pathlib import Path
 
+from gof.core.cameras import in_words, sizes_px
 from gof.core.costs import StageLog
 from gof.core.errors import GofError
 from gof.core.files import only_run_in
@@ -67,6 +68,7 @@ def reconstruct(
         small = shrink(dataset, settings.longest_side)
         flow = flow_method(settings.flow, flow_weights)
         _require_motion(small)
+        _require_one_size(small, settings)
         method, machine = METHODS[settings.method], MachineLoad.measured_now()
         clip = ClipShape.of(small, method)
         parts = expected_parts(clip, settings)
@@ -91,7 +93,8 @@ def _run_stages(run: stages.ReconstructionRun, until: Until) -> stages.Reconstru
     field = stages.make_flow_field(run, observation)
     if until == "flow-field":
         return None
-    held_out = HeldOut(run.dataset, list(observation.static), near=field.voxels.voxel_size)
+    observation = observation.without_motion()  # half of a clip's memory
+    held_out = HeldOut(run.dataset, run.own(observation.static), near=field.voxels.voxel_size)
     light = stages.find_light(run, observation, field)
     seeds = stages.make_seeds(run, observation, still, field, light, held_out)
     if until == "seeds":
@@ -105,6 +108,16 @@ def _require_motion(dataset: Dataset) -> None:
         raise GofError(
             f"{dataset.path}: a single frame has no motion; at least 2 training frames are needed, "
             f"splits.train has {len(dataset.train_frames)}"
+        )
+
+
+def _require_one_size(dataset: Dataset, settings: ReconstructionSettings) -> None:
+    """Raise GofError where a still scene of Gaussians would be drawn, and learned, beyond a smaller picture's edge."""
+    sizes = sizes_px(dataset.cameras)
+    if settings.scene == "gaussians" and len(sizes) > 1:
+        raise GofError(
+            f"{dataset.path}: its cameras' pictures differ in size ({in_words(sizes)}), and --scene gaussians wants "
+            "one size; --scene plates takes them as they are"
         )
 
 

@@ -6,7 +6,7 @@ Every stage leaves pictures of what it did in OUT/stages and its cost in OUT/cos
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -34,7 +34,7 @@ from gof.reconstruct.flow_field import FlowField
 from gof.reconstruct.gas import look_up_gas
 from gof.reconstruct.heldout import HeldOut
 from gof.reconstruct.methods import Method, Rates, rates_in_voxels
-from gof.reconstruct.observation import Observation
+from gof.reconstruct.observation import Observation, own_part
 from gof.reconstruct.optical_flow import FlowMethod
 from gof.reconstruct.optimize import Schedule, Units, optimize
 from gof.reconstruct.presets import LIGHT_FINER, STILL_STEPS
@@ -78,6 +78,10 @@ class ReconstructionRun:
     def source(self) -> str:
         """Return the record of origin that the files get."""
         return f"gof reconstruct {self.dataset.description.name}"
+
+    def own(self, pictures: Iterable[np.ndarray]) -> list[np.ndarray]:
+        """Return the cameras' own parts of pictures of one size, one of each camera; of none, none."""
+        return [own_part(picture, camera) for picture, camera in zip(pictures, self.dataset.cameras, strict=False)]
 
 
 @dataclass(frozen=True)
@@ -139,7 +143,7 @@ def make_still_scene(run: ReconstructionRun, observation: Observation) -> Transi
     if made.exists():
         return TransientGaussians.load(made)
     options = BackgroundOptions(still_steps(settings), max(settings.gaussians, 2), seed=settings.seed)
-    still = still_gaussians(run.dataset, list(observation.plate), options, run.log)
+    still = still_gaussians(run.dataset, run.own(observation.plate), options, run.log)
     still.save(made, source=f"gof reconstruct {run.dataset.description.name}: the still scene")
     return still
 
@@ -195,7 +199,9 @@ def make_seeds(
         seeds = ablations.change_seeds(settings.ablation, seeds, rng).measured_from(run.dataset.datum)
         seeds.save(run.out / "seeds.npz", source="gof reconstruct: seeds before optimisation")
         figures.update(gaussians=len(seeds), t_sigma_s=round(t_sigma, 5))
-    shown = (seeds, list(observation.plate)) if still is None else (TransientGaussians.concatenate([still, seeds]), [])
+    shown = (
+        (seeds, run.own(observation.plate)) if still is None else (TransientGaussians.concatenate([still, seeds]), [])
+    )
     _show(run, held_out, "4_seeds", "the seeds before any optimisation", *shown)
     return seeds
 
@@ -249,7 +255,10 @@ def fit(
         progress_bar("optimise", left=run.left) as progress,
         threads_for(windows.width * windows.height),
     ):
-        whole = partial(windows.plates, plates=observation.plate, blocked=observation.blocked)
+
+        def whole(parts: list[np.ndarray]) -> list[np.ndarray]:
+            return run.own(windows.plates(parts, observation.plate, observation.blocked))
+
         monitor = _Monitor(_snapshot(run), held_out, whole, curve, progress, time.perf_counter() - before_s)
         gaussians, plates = optimize(
             seeds, observation, windows, surroundings, schedule, units, checkpoint, monitor, unseen

@@ -1,5 +1,7 @@
 """Masks and optical flow on pictures whose motion is known, and the rule that held-out frames are never touched."""
 
+from dataclasses import replace
+
 import cv2
 import numpy as np
 import pytest
@@ -7,7 +9,7 @@ import pytest
 from gof.core.errors import DataFormatError, GofError
 from gof.dataset import Dataset
 from gof.footage.flame_mask import flame_mask
-from gof.reconstruct.observation import consistency, light_above, observe
+from gof.reconstruct.observation import consistency, light_above, observe, own_part
 from gof.reconstruct.optical_flow import flow_method
 from tests.conftest import arc, write_dataset
 
@@ -78,6 +80,25 @@ def test_still_black_and_saturated_pictures(tmp_path):
     saturated = np.ones((64, 36, 3)) * [1, 1, 0.3]
     seen = observe(make(tmp_path / "s", np.repeat(saturated[None], 3, 0), plate))
     assert seen.mask.all() and np.nanmax(np.abs(seen.flow)) < 1, "no texture, no motion"
+
+
+def test_cameras_may_differ_in_size(tmp_path):
+    """The smaller's pictures are known in their corner and nowhere else, its lines at the times they were read at."""
+    frames, plate = moving_texture(3, (0, -1.5))
+    large, small = arc(2)
+    small = replace(small.cropped(0, 0, 30, 50), row_time_s=1e-4, readout="up")
+    images = [[picture, picture[:50, :30]] for picture in frames]
+    data = write_dataset(tmp_path / "d", [large, small], images, [plate, plate[:50, :30]], 0.01 * np.arange(3))
+    same = observe(make(tmp_path / "same", frames, plate))
+    seen = observe(Dataset.open(data))
+    np.testing.assert_array_equal(seen.image[:, 1, :50, :30], same.image[:, 1, :50, :30])
+    beyond = np.ones((64, 36), bool)
+    beyond[:50, :30] = False
+    assert seen.blocked[1][beyond].all() and not seen.blocked[1][~beyond].any() and not seen.blocked[0].any()
+    assert not seen.mask[:, 1, beyond].any() and np.isnan(seen.flow[:, 1, beyond]).all()
+    # Fourteen lines below are read before the picture's own last one, which is its first.
+    np.testing.assert_allclose(seen.camera_time_s[1] - seen.camera_time_s[0], -14e-4)
+    assert [own_part(picture, small).shape for picture in seen.plate] == [(50, 30, 3)] * 2
 
 
 def test_light_thrown_on_a_wall_is_not_flame():

@@ -1,7 +1,9 @@
 """The whole reconstruction on a cloud of Gaussians whose motion we chose."""
 
+import shutil
 from dataclasses import replace
 
+import cv2
 import numpy as np
 import pytest
 
@@ -13,11 +15,12 @@ from gof.core.gaussians import TransientGaussians
 from gof.core.records import read_record
 from gof.dataset import Dataset
 from gof.evaluate import dve
+from gof.footage.pictures import read_picture
 from gof.reconstruct import pipeline, stages
 from gof.reconstruct.curve import Curve
 from gof.reconstruct.settings import ReconstructionSettings
 from gof.render import render
-from tests.reconstruct.rising_flame import RISE, mean_velocity, reconstruct, write_flame
+from tests.reconstruct.rising_flame import RISE, edit, mean_velocity, reconstruct, write_flame
 
 pytestmark = pytest.mark.long
 
@@ -46,6 +49,21 @@ def test_held_out_picture_is_explained(rising_flame, result):
         truth, plate = dataset.image(c, 4), dataset.static(c)
         ours = render(gaussians, camera, dataset.times_s[4], background=plate)["color"]
         assert ((ours - truth) ** 2).mean() < 0.1 * ((plate - truth) ** 2).mean()
+
+
+def test_two_kinds_of_phones(rising_flame, result, tmp_path):
+    """A camera with a smaller picture, whose upper right the flame leaves: as good, and its plate in its own size."""
+    folder = shutil.copytree(rising_flame, tmp_path / "flame")
+    for path in (folder / "static/cam_0.png", *(folder / "cameras/cam_0/rgb").iterdir()):
+        cv2.imwrite(str(path), cv2.imread(str(path))[:88, :30])
+    edit(folder, lambda meta: meta["cameras"][0].update(width=30, height=88))
+    found = reconstruct(folder, tmp_path / "out")
+    assert read_picture(found.parent / "plates/cam_0.png").shape == (88, 30, 3)
+    np.testing.assert_allclose(mean_velocity(TransientGaussians.load(found)), RISE, atol=0.35)
+    scores = [Curve.read(path.parent).points[-1].scores.psnr_flame for path in (found, result)]
+    assert scores[0] == pytest.approx(scores[1], abs=1.5)
+    with pytest.raises(GofError, match=r"differ in size \(30x88, 48x96 px\).*--scene plates"):
+        main([str(folder), "--scene", "gaussians", "--out", str(tmp_path / "still")])
 
 
 def test_optimisation_improves_on_its_seeds(rising_flame, result):

@@ -227,10 +227,12 @@ class NativeTarget:
     def __init__(self, image: np.ndarray, mask: np.ndarray | None):
         self.height, self.width, self.channels = image.shape
         self.stride = -(-self.width // LANES) * LANES
-        self.truth = [self._padded(image[..., c]) for c in range(self.channels)]
+        padded = np.zeros((self.channels, self.height, self.stride), np.float32)
+        padded[..., : self.width] = np.moveaxis(image, -1, 0)
+        self.truth = list(padded.reshape(self.channels, -1))
         self.moments = [(np.empty_like(t), np.empty_like(t)) for t in self.truth]
-        for truth, (mean, square) in zip(self.truth, self.moments, strict=True):
-            moments(truth, self.height, self.stride, mean, square)
+        shape = self.height, self.stride
+        run(moments, [(truth, *shape, *found) for truth, found in zip(self.truth, self.moments, strict=True)])
         even = np.full((1, self.width), 1 / image.size)
         self.weight = self._padded(even if mask is None else mask / (np.sum(mask, dtype=np.float64) * self.channels))
         self.weight_stride = 0 if mask is None else self.stride

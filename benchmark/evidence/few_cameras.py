@@ -1,0 +1,101 @@
+"""How good a flame is that one camera or two have filmed: simulated fires from a part of their cameras.
+
+    python -m gof_benchmark.evidence.few_cameras DATASET... [--out out/few_cameras] [--json FILE]
+
+Takes about 4 min a dataset of three cameras. Needs datasets with ground truth and views from all around.
+
+One camera is the middle one, two are that one and its neighbour, and all are all. Views from around count for the
+nearest of `ANGLES` from the nearest given camera.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import tyro
+
+from gof.core.errors import GofError
+from gof.core.files import write_json
+from gof.dataset import Dataset
+from gof.evaluate.scores import AroundScore, Scores, VelocityScore
+from gof.evaluate.scoring import evaluate
+from gof.reconstruct.pipeline import reconstruct
+from gof.reconstruct.presets import effort_of, size_of
+from gof.reconstruct.settings import ReconstructionSettings
+from gof_benchmark.evidence.held_out_camera import hold_out
+
+ANGLES = 45, 90, 135  # degrees
+
+
+@dataclass(frozen=True)
+class FewCameras:
+    """Reconstruct datasets from one camera, two, and all. Prints a table."""
+
+    datasets: tyro.conf.Positional[tuple[Path, ...]]
+    """Folders of `gof generate`."""
+    out: Path = Path("out/few_cameras")
+    """Folder for the reconstructions; finished ones are kept."""
+    preset: str = "preview"
+    """For every reconstruction."""
+    steps: int | None = None
+    """Instead of the preset's."""
+    json: Path | None = None
+    """Also write every figure to this file."""
+
+
+def choose_cameras(count: int) -> dict[str, list[int]]:
+    """Return which of `count` cameras are given, by name."""
+    middle = count // 2
+    return {"one camera": [middle], "two cameras": [middle - 1, middle], "all cameras": list(range(count))}
+
+
+def give_only(dataset: Dataset, cameras: list[int]) -> Dataset:
+    """Return the dataset with the other training cameras for novel views."""
+    for camera in reversed(range(len(dataset.cameras))):
+        if camera not in cameras:
+            dataset = hold_out(dataset, camera)
+    return dataset
+
+
+def score_part(dataset: Dataset, folder: Path, config: FewCameras) -> tuple[VelocityScore, Scores]:
+    """Reconstruct to a folder; return its score of velocity, and all. Raises GofError: no true velocity."""
+    effort = effort_of(config.preset, config.steps, clip=size_of(dataset))
+    reconstruct(dataset, ReconstructionSettings.of(dataset, effort), folder)
+    scores = evaluate(folder, dataset)
+    if scores.dve is None:
+        raise GofError(f"{folder}: its dataset has no true velocity; give one of `gof generate`")
+    return scores.dve, scores
+
+
+def at_angles(around: Sequence[AroundScore]) -> list[float]:
+    """Return the mean PSNR of the flame at each of ANGLES, dB; NaN where no view is. Not of the view from above."""
+    views = [view for view in around if view.psnr_flame is not None and "top" not in view.camera]
+    nearest = np.array([np.abs(np.subtract(ANGLES, view.angle_deg)).argmin() for view in views], int)
+    psnr = np.array([view.psnr_flame for view in views])
+    return [float(psnr[nearest == k].mean()) if (nearest == k).any() else float("nan") for k in range(len(ANGLES))]
+
+
+def main(argv: list[str] | None = None) -> None:
+    """Print the table."""
+    config = tyro.cli(FewCameras, prog="python -m gof_benchmark.evidence.few_cameras", args=argv)
+    angles = " | ".join(f"{angle} degrees" for angle in ANGLES)
+    print(f"| fire, given | L2 | constant: L2 | PSNR flame, own | {angles} |\n|---|---|---|---|---|---|---|")
+    rows = {}
+    for path in config.datasets:
+        dataset = Dataset.open(path)
+        for name, cameras in choose_cameras(len(dataset.cameras)).items():
+            folder = config.out / path.name / name.replace(" ", "_")
+            dve, scores = score_part(give_only(dataset, cameras), folder, config)
+            constant, own, sides = scores.trivial_baselines["constant"].l2, scores.psnr_flame, at_angles(scores.around)
+            rows[f"{path.name}, {name}"] = figures = [dve.l2, constant, own, *sides]
+            cells = " | ".join(f"{figure:.{3 if k < 2 else 1}f}" for k, figure in enumerate(figures))
+            print(f"| {path.name}, {name} | {cells} |", flush=True)
+    if config.json:
+        write_json(config.json, rows)
+
+
+if __name__ == "__main__":
+    main()
