@@ -68,6 +68,7 @@ TOY = {
     "calibration": ("FLAME",),
     "dve_orders": ("--out", "OUT", "--gaussians", "100", "--samples", "1000"),
     "dve_speed": ("--counts", "1000", "--sizes", "16", "--scipy-up-to", "1000"),
+    "few_cameras": ("FLAME", "--out", "OUT", "--preset", "toy", "--steps", "20"),
     "format_losses": ("RESULT",),
     "hard_cases": ("FLAME",),
     "held_out_camera": ("FLAME", "--out", "OUT", "--preset", "toy", "--steps", "20"),

@@ -4,8 +4,8 @@
 
 Takes about 4 min a dataset of three cameras. Needs datasets with ground truth and views from all around.
 
-One camera is the middle one, two are that one and its neighbour, and all are all. Views from around count for the
-nearest of `ANGLES` from the nearest given camera.
+One camera is the middle one, two are that one and its neighbour, and all are all. Sides are views from all around
+that stand within 22.5 degrees of `SIDES` from the nearest given camera.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ from gof.reconstruct.presets import effort_of, size_of
 from gof.reconstruct.settings import ReconstructionSettings
 from gof_benchmark.evidence.held_out_camera import hold_out
 
-ANGLES = 45, 90, 135  # degrees
+SIDES = 45, 90, 135  # degrees
 
 
 @dataclass(frozen=True)
@@ -70,28 +70,30 @@ def score_part(dataset: Dataset, folder: Path, config: FewCameras) -> tuple[Velo
     return scores.dve, scores
 
 
-def at_angles(around: Sequence[AroundScore]) -> list[float]:
-    """Return the mean PSNR of the flame at each of ANGLES, dB; NaN where no view is. Not of the view from above."""
-    views = [view for view in around if view.psnr_flame is not None and "top" not in view.camera]
-    nearest = np.array([np.abs(np.subtract(ANGLES, view.angle_deg)).argmin() for view in views], int)
-    psnr = np.array([view.psnr_flame for view in views])
-    return [float(psnr[nearest == k].mean()) if (nearest == k).any() else float("nan") for k in range(len(ANGLES))]
+def at_sides(around: Sequence[AroundScore]) -> list[float]:
+    """Return the mean PSNR of the flame at each of SIDES, dB; NaN where no view is. Not of the view from above."""
+    seen = [(v.angle_deg, v.psnr_flame) for v in around if v.psnr_flame is not None and "top" not in v.camera]
+    found = [[psnr for angle, psnr in seen if abs(angle - side) <= 22.5] for side in SIDES]
+    return [float(np.mean(psnr)) if psnr else float("nan") for psnr in found]
 
 
 def main(argv: list[str] | None = None) -> None:
     """Print the table."""
     config = tyro.cli(FewCameras, prog="python -m gof_benchmark.evidence.few_cameras", args=argv)
-    angles = " | ".join(f"{angle} degrees" for angle in ANGLES)
-    print(f"| fire, given | L2 | constant: L2 | PSNR flame, own | {angles} |\n|---|---|---|---|---|---|---|")
+    sides = " | ".join(f"{side} degrees" for side in SIDES)
+    print(f"| fire, given | L2 | constant: L2 | PSNR flame, own | {sides} |\n|---|---|---|---|---|---|---|")
     rows = {}
     for path in config.datasets:
         dataset = Dataset.open(path)
         for name, cameras in choose_cameras(len(dataset.cameras)).items():
             folder = config.out / path.name / name.replace(" ", "_")
             dve, scores = score_part(give_only(dataset, cameras), folder, config)
-            constant, own, sides = scores.trivial_baselines["constant"].l2, scores.psnr_flame, at_angles(scores.around)
-            rows[f"{path.name}, {name}"] = figures = [dve.l2, constant, own, *sides]
-            cells = " | ".join(f"{figure:.{3 if k < 2 else 1}f}" for k, figure in enumerate(figures))
+            motion, seen = (
+                [dve.l2, scores.trivial_baselines["constant"].l2],
+                [scores.psnr_flame, *at_sides(scores.around)],
+            )
+            rows[f"{path.name}, {name}"] = motion + seen
+            cells = " | ".join([*(f"{l2:.3f}" for l2 in motion), *(f"{psnr:.1f}" for psnr in seen)])
             print(f"| {path.name}, {name} | {cells} |", flush=True)
     if config.json:
         write_json(config.json, rows)
