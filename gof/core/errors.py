@@ -41,11 +41,9 @@ EXPLAINED = (  # parts of messages: each is a heading of docs/troubleshooting.md
     "no format gof knows",
     "its times run from",
     "besides tensors and numbers, and reading",
-    "would change nothing here",
     "alignment needs two cameras with the same name in both",
     "holds the scores of another result",
     "no frame is held out",
-    "is there already; give",
     "cannot be written to",
 )
 
