@@ -54,7 +54,7 @@ def main(argv: list[str] | None = None) -> None:
     print("| longest side | Gaussians | voxels | predicted, MB | measured, MB | off |\n|---|---|---|---|---|---|")
     for side, gaussians, voxels in config.runs:
         clip = ClipShape.of(shrink(Dataset.open(config.dataset), side), METHODS["gof"])
-        predicted = needed_bytes(clip.training_px, clip.frames, gaussians, voxels, clip.window)
+        predicted = needed_bytes(clip.training_px, clip.frames, gaussians, voxels)
         measured = measured_bytes(config.dataset, side, gaussians, voxels)
         off = predicted / measured - 1
         print(f"| {side} | {gaussians} | {voxels} | {predicted / 1e6:.0f} | {measured / 1e6:.0f} | {off:+.0%} |")

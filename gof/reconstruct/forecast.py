@@ -58,7 +58,7 @@ def expected_bytes(clip: ClipShape, settings: ReconstructionSettings) -> float:
     gaussians = settings.gaussians * (2 if settings.scene == "gaussians" else 1)  # the still scene has as many again
     if METHODS[settings.method].density_control:
         gaussians += (MOST_GROWTH - 1) * settings.gaussians
-    return memory.needed_bytes(clip.training_px, clip.frames, gaussians, _most_voxels(settings), clip.window)
+    return memory.needed_bytes(clip.training_px, clip.frames, gaussians, _most_voxels(settings))
 
 
 def _most_voxels(settings: ReconstructionSettings) -> int:

@@ -10,25 +10,24 @@ from gof.core.errors import GofError
 
 GB = 1e9
 # Bytes at the peaks of finding the flow field and of optimising, fitted to measured runs (notebook/reliability.md).
-FIELD, FIELD_PIXEL, FIELD_VOXEL = 300e6, 36.0, 152.0
-FITTING, SEEN_PIXEL, WINDOW_PIXEL, FITTING_VOXEL, GAUSSIAN = 315e6, 27.0, 55.0, 21.0, 1680.0
+FIELD, FIELD_PIXEL, FIELD_VOXEL = 300e6, 26.0, 180.0
+FITTING, FITTING_PIXEL, FITTING_VOXEL, GAUSSIAN = 360e6, 20.0, 110.0, 1350.0
 HULL = 0.07  # of the cube of voxels along the longest side of the flame's box, that stand in its hull
 ADDRESSES = 0.8e9  # what libraries map and never touch, which `ulimit -v` counts too
 
 
-def needed_bytes(training_pixels: int, frames: int, gaussians: int, voxels: int, window: float = 1.0) -> float:
+def needed_bytes(training_pixels: int, frames: int, gaussians: int, voxels: int) -> float:
     """Predict the peak memory of `gof reconstruct`, within about 15 %.
 
     Args:
         training_pixels: of all training pictures together, at the size that is reconstructed.
         frames: for training.   gaussians: in all frames together.
         voxels: along the longest side of the flame's box.
-        window: share of a picture that is drawn and learned from (`gof.reconstruct.windows`), 0..1.
     """
     hull = HULL * voxels**3 * frames
     return max(
         FIELD + FIELD_PIXEL * training_pixels + FIELD_VOXEL * hull,
-        FITTING + (SEEN_PIXEL + WINDOW_PIXEL * window) * training_pixels + FITTING_VOXEL * hull + GAUSSIAN * gaussians,
+        FITTING + FITTING_PIXEL * training_pixels + FITTING_VOXEL * hull + GAUSSIAN * gaussians,
     )
 
 
