@@ -10,7 +10,7 @@ from gof.core.errors import GofError
 
 GB = 1e9
 # Bytes at the peaks of finding the flow field and of optimising, fitted to measured runs (notebook/reliability.md).
-FIELD, FIELD_PIXEL, FIELD_VOXEL = 300e6, 26.0, 180.0
+FIELD, FIELD_PIXEL, FIELD_VOXEL = 300e6, 25.0, 175.0
 FITTING, FITTING_PIXEL, FITTING_VOXEL, GAUSSIAN = 360e6, 20.0, 110.0, 1350.0
 HULL = 0.07  # of the cube of voxels along the longest side of the flame's box, that stand in its hull
 ADDRESSES = 0.8e9  # what libraries map and never touch, which `ulimit -v` counts too
