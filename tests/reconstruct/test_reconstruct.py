@@ -52,7 +52,7 @@ def test_held_out_picture_is_explained(rising_flame, result):
 
 
 def test_two_kinds_of_phones(rising_flame, result, tmp_path):
-    """A camera with a smaller picture, whose upper right the flame leaves: as good, and its plate in its own size."""
+    """A camera with a smaller picture, whose right edge cuts the flame: as good, and its plate in its own size."""
     folder = shutil.copytree(rising_flame, tmp_path / "flame")
     for path in (folder / "static/cam_0.png", *(folder / "cameras/cam_0/rgb").iterdir()):
         cv2.imwrite(str(path), cv2.imread(str(path))[:88, :30])
