@@ -49,7 +49,8 @@ class FewCameras:
 def choose_cameras(count: int) -> dict[str, list[int]]:
     """Return which of `count` cameras are given, by name."""
     middle = count // 2
-    return {"one camera": [middle], "two cameras": [middle - 1, middle], "all cameras": list(range(count))}
+    some = {"one camera": [middle], "two cameras": [middle - 1, middle]} if count > 2 else {}
+    return some | {"all cameras": list(range(count))}
 
 
 def give_only(dataset: Dataset, cameras: list[int]) -> Dataset:

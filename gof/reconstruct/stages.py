@@ -257,7 +257,9 @@ def fit(
     ):
 
         def whole(parts: list[np.ndarray]) -> list[np.ndarray]:
-            return run.own(windows.plates(parts, observation.plate, observation.blocked))
+            own = run.own(windows.plates(parts, observation.plate, observation.blocked))
+            # Where nothing stands before the flame, but beyond a smaller picture's edge, a plate needs no such channel.
+            return [plate if plate[..., 3:].any() else plate[..., :3] for plate in own]
 
         monitor = _Monitor(_snapshot(run), held_out, whole, curve, progress, time.perf_counter() - before_s)
         gaussians, plates = optimize(
