@@ -34,7 +34,7 @@ from gof.evaluate.light import DARK
 from gof.reconstruct.methods import OURS
 from gof.reconstruct.observation import Observation, observe
 from gof.reconstruct.shrink import shrink
-from gof.reconstruct.tomography import find_compact_emission, find_emission
+from gof.reconstruct.tomography import TURNS, find_emission
 from gof.reconstruct.unseen import FlameEmission, imagine_views, unsaturated_light
 from gof.reconstruct.voxels import FlameVoxels, carve
 
@@ -69,10 +69,9 @@ def main(argv: list[str] | None = None) -> None:
 CHOICES: dict[str, Find] = {
     "even start": partial(find_emission, rounded=False),
     "round start": find_emission,
-    "compact": find_compact_emission,
-    **{f"compact, {n} times all around": partial(find_compact_emission, turns=n) for n in (0, 1, 4)},
-    **{f"compact, power {power}": partial(find_compact_emission, power=power) for power in (1.0, 1.05, 1.15)},
-    **{f"compact, smoothed by {width}": partial(find_compact_emission, smooth=width) for width in (1e-3, 0.6)},
+    **{f"turned {n} times": partial(find_emission, turns=n) for n in (1, TURNS, 2 * TURNS)},
+    **{f"turned {TURNS} times, power {p}": partial(find_emission, turns=TURNS, power=p) for p in (1.0, 1.1)},
+    **{f"turned {TURNS} times, {n} iterations": partial(find_emission, turns=TURNS, iterations=n) for n in (6, 24)},
 }
 
 

@@ -29,8 +29,8 @@ from gof.reconstruct.unseen import UnseenView, UnseenViews
 from gof.reconstruct.windows import Windows
 from gof.render import Target, l1_ssim, render_splats
 from gof.render.adam import Adam
-from gof.render.backend import Bool, Float, floats, opaque
-from gof.render.light import to_display
+from gof.render.backend import Bool, Float, UInt, floats, opaque
+from gof.render.light import to_display, to_light
 from gof.render.rasterizer import Frame
 
 SSIM_WEIGHT = 0.2
@@ -246,12 +246,19 @@ class Flame:
 
     def loss_unseen(self, shown: Raw, unseen: UnseenView, plain: np.ndarray) -> Any:
         """Mean distance of a view from where no camera stood to the light that it may have there, in display values
-        over an even plate of display values (3,)."""
-        flame = splats(shown, self.voxel_size, unseen.time_s - self.start_s, unseen.camera)
+        over an even plate of display values (3,).
+
+        Drawn in pixels half as large, whose light is averaged: most Gaussians are smaller than a pixel, and display
+        values, in which they are blended, have a smaller mean than their light has.
+        """
+        width, height = unseen.camera.width, unseen.camera.height
+        finer = unseen.camera.scaled(2 * width, 2 * height)
+        flame = splats(shown, self.voxel_size, unseen.time_s - self.start_s, finer)
         behind, emissive, near = [opaque(x) for x in plain], self.surroundings.emissive, self.voxel_size
-        seen = render_splats(flame, unseen.camera, behind, emissive=emissive, near=near, antialias=True)
+        drawn = render_splats(flame, finer, behind, emissive=emissive, near=near, antialias=True)
+        seen = [to_display(halve(to_light(plane), width, height)) for plane in drawn.color]
         least, most = (over_plain(np.maximum(unseen.light + d, 0), plain) for d in (-unseen.spread, unseen.spread))
-        return measure_beyond(seen.color, least, most)
+        return measure_beyond(seen, least, most)
 
     def _time_s(self, f: int, c: int) -> float:
         """When a camera's picture of a frame was taken, after the clip's start."""
@@ -348,6 +355,13 @@ def _loss(
         color = [dr.select(full & (shown > 1), 1, shown) for full, shown in zip(white, color, strict=True)]
     loss = l1_ssim(color, pictures.target(f, c), SSIM_WEIGHT, schedule.square_loss)
     return loss + schedule.alpha_loss * dr.mean(drawn.share * pictures.outside(f, c))
+
+
+def halve(plane: Float, width: int, height: int) -> Float:
+    """Return the means (height * width,) of a plane's squares of two by two pixels; differentiable."""
+    place = dr.arange(UInt, width * height)
+    first = 4 * width * (place // width) + 2 * (place % width)
+    return sum(dr.gather(Float, plane, first + k) for k in (0, 1, 2 * width, 2 * width + 1)) / 4
 
 
 def over_plain(light: np.ndarray, plain: np.ndarray) -> list[Any]:

@@ -44,7 +44,7 @@ from gof.reconstruct.settings import FILE as SETTINGS
 from gof.reconstruct.settings import ReconstructionSettings
 from gof.reconstruct.shrink import enlarge
 from gof.reconstruct.surroundings import Plates, StillScene, Surroundings
-from gof.reconstruct.unseen import FlameEmission, find_compact_flame, imagine_views
+from gof.reconstruct.unseen import FlameEmission, find_flame_emission, imagine_views
 from gof.reconstruct.windows import Windows
 from gof.render.backend import threads_for
 
@@ -172,11 +172,11 @@ def make_flow_field(run: ReconstructionRun, observation: Observation) -> FlowFie
 
 
 def find_light(run: ReconstructionRun, observation: Observation, field: FlowField) -> FlameEmission | None:
-    """Return the flame's light drawn together, where the method uses it; on finer voxels than the flow field's."""
+    """Return the flame's light in space, where the method uses it; on finer voxels than the flow field's."""
     if run.method.unseen <= 0:
         return None
     with run.log.measure("light") as figures, progress_bar("light", left=run.left) as progress:
-        light = find_compact_flame(observation, round(LIGHT_FINER * run.settings.voxels), progress)
+        light = find_flame_emission(observation, round(LIGHT_FINER * run.settings.voxels), progress)
         figures.update(voxels=len(light.voxels.center), voxel_size_m=round(light.voxels.voxel_size, 5))
     return light
 

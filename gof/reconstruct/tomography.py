@@ -5,108 +5,83 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
+from scipy.sparse import csr_matrix
 
-from gof.reconstruct.voxels import FlameVoxels
+from gof.reconstruct.voxels import FlameVoxels, share_among_pixels
 
 UP = np.array([0.0, 0.0, 1.0])
 TURNS = 2  # times that a flame is found again from what it is on the average all around its axis
+ITERATIONS = 12
+POWER, PLAIN = 1.07, 2  # by which light is drawn together in each of half as many; iterations after it, without
 POOLED = 1.5  # layers, std-dev over which its middle is found
 BETWEEN = (0.7, 0.5)  # layers and rings, std-dev over which their means are smoothed: a grid's rings are jagged
 COARSE = 4.0  # voxels, std-dev: finer than that, a flame's sides have licks of their own
 DIMMEST, FACTORS = 1e-3, (0.05, 4.0)  # of the brightest, below which a mean tells nothing; by which it may be changed
-SMOOTH = 0.4  # voxels, std-dev by which a compact flame is smoothed between two iterations
-POWER = 1.1  # that draws its light together in each; 1 leaves more of it along the rays
 NEAR = 3.0  # voxels, std-dev: light so near to each other has its middle at the same depth
 OUTLINE = 0.15  # of the light around it: what is darker is outside a lick's outline
 FAINTEST = 40.0  # squared distances in std-devs beyond this are all the same; nothing in the hull is ruled out
 ONE_SIDE = 0.2  # by which the rays' first principal value exceeds the second: cameras less far around see all sides
 STEEP = np.sin(np.deg2rad(60))  # of the cameras' common direction
+DARK = 1e-300  # light, below which a pixel explains nothing: what divides by less may overflow
 
 
-def tomography(
-    voxels: FlameVoxels, intensity: np.ndarray, mask: np.ndarray, rounded: bool = True, iterations: int = 12
-) -> np.ndarray:
+def tomography(voxels: FlameVoxels, intensity: np.ndarray, mask: np.ndarray, rounded: bool = True) -> np.ndarray:
     """Return how brightly each voxel of one frame shines, relative to the others: see `find_emission`.
 
     Returns:
         (V,) float64 emission >= 0, mean 1 over the voxels of the frame's hull, 0 outside it; all 0 for an empty mask.
     """
-    emission = find_emission(voxels, intensity, mask, rounded, iterations)
+    emission = find_emission(voxels, intensity, mask, rounded)
     total = emission.sum()
     return emission * (np.count_nonzero(emission) / total) if total > 0 else emission
 
 
 def find_emission(
-    voxels: FlameVoxels, intensity: np.ndarray, mask: np.ndarray, rounded: bool = True, iterations: int = 12
+    voxels: FlameVoxels,
+    intensity: np.ndarray,
+    mask: np.ndarray,
+    rounded: bool = True,
+    turns: int = 0,
+    power: float = POWER,
+    iterations: int = ITERATIONS,
 ) -> np.ndarray:
     """Emission per voxel of one frame by multiplicative expectation maximisation (Shepp & Vardi 1982).
 
     Few views leave the shape along the rays open; EM fills it with the product closest to its start that the views
     agree on, and is never negative. From an even start that is the whole hull, with its corners that no camera looks
-    past. A flame is about as deep as it is wide, so it is done again from a round one (`round_flame`; +z is up). Pixels
-    are pooled to about the voxel's own size, so every voxel meets one cell per view.
+    past. A flame is about as deep as it is wide, so it is done again from a round one (`round_flame`; +z is up), and
+    from what the flame is on the average all around its axis (`turn_around`): whether it is filled or hollow, and how
+    it fades outward, its views say for the sides that they do not see. Then its light is drawn together, raised to a
+    power a little above 1 in each iteration: what lies along one ray alone dies out, as what filmed pictures disagree
+    on does. Figures of each choice: `python -m gof_benchmark.evidence.tomography`.
 
     Args:
         intensity: (C, H, W) linear light >= 0.   mask: (C, H, W) bool.   rounded: do it again from a round flame.
+        turns: so often from the flame all around, and then drawn together by `power`.   iterations: of each.
     Returns:
         (V,) float64 >= 0, in one unit for all frames of a clip; 0 outside the frame's hull; all 0 for an empty mask.
     """
-    hull, views = _hull_and_views(voxels, intensity, mask)
-    return _find_emission(voxels, hull, views, rounded, iterations)
-
-
-def _find_emission(
-    voxels: FlameVoxels, hull: np.ndarray, views: list[_PooledView], rounded: bool, iterations: int
-) -> np.ndarray:
-    emission = _maximise(hull.astype(np.float64), views, iterations)
-    if rounded and emission.any():
-        emission = _maximise(hull * round_flame(voxels, emission), views, iterations)
-    return emission
-
-
-def find_compact_emission(
-    voxels: FlameVoxels,
-    intensity: np.ndarray,
-    mask: np.ndarray,
-    turns: int = TURNS,
-    smooth: float = SMOOTH,
-    power: float = POWER,
-    iterations: int = 12,
-) -> np.ndarray:
-    """Emission per voxel of one frame, which also looks like a flame from where no camera stood.
-
-    Many lights agree with a few views; the one closest to a start is found. So it is done again from what the flame is
-    on the average all around its axis (`turn_around`): whether it is filled or hollow, and how it fades outward, its
-    views say for the sides that they do not see. Then its light is drawn together: smoothed a little between half as
-    many iterations (Silverman, Jones, Wilson & Nychka 1990), and raised to a power a little above 1, by which it grows
-    where views from several sides support each other, and what lies along one ray alone dies out. Figures of each
-    choice: `python -m gof_benchmark.evidence.tomography`.
-
-    Args and returns: as `find_emission`; turns: so often all around; smooth, power: see above.
-    """
-    from scipy.ndimage import gaussian_filter  # here: it takes long to load
-
-    hull, _ = _hull_and_views(voxels, intensity, mask)
+    hit = voxels.sample(mask.astype(np.int8), outside=-1)
+    hull = (hit != 0).all(0) & (hit == 1).any(0)
     found = np.zeros(len(hull))
     if not hull.any():
         return found
     part = voxels.only(hull)  # of a clip's voxels, most are dark in a frame
-    everywhere, views = _hull_and_views(part, intensity, mask)
-    emission = _find_emission(part, everywhere, views, True, iterations)
-    if not emission.any():
-        return found
-    for _ in range(turns):
-        emission = _maximise(turn_around(part, emission, everywhere), views, iterations)
-    first = part.index.min(0)
-    cells, grid = tuple((part.index - first).T), np.zeros(part.index.max(0) - first + 1)
-    for _ in range(iterations // 2):
-        grid[cells] = _maximise(emission, views, 1) ** power
-        emission = gaussian_filter(grid, smooth, mode="constant")[cells]
-    found[hull] = _in_unit(emission, views)
+    views = [_pool_view(part, c, picture, hit[c, hull] == 1) for c, picture in enumerate(intensity)]
+    emission = _maximise(np.ones(len(part.center)), views, iterations)
+    if rounded and emission.any():
+        emission = _maximise(round_flame(part, emission), views, iterations)
+    if turns and emission.any():
+        for _ in range(turns):
+            emission = _maximise(turn_around(part, emission), views, iterations)
+        for _ in range(iterations // 2):
+            emission = _maximise(emission, views, 1) ** power
+        emission = _maximise(emission, views, PLAIN)
+    found[hull] = emission
     return found
 
 
-def turn_around(voxels: FlameVoxels, emission: np.ndarray, hull: np.ndarray) -> np.ndarray:
+def turn_around(voxels: FlameVoxels, emission: np.ndarray) -> np.ndarray:
     """Return (V,) the mean emission of each ring around a flame's middle, drawn to be as deep as wide (+z is up).
 
     Flames that burn side by side have a middle each; that of a flame may wander from height to height. A mean over
@@ -114,7 +89,7 @@ def turn_around(voxels: FlameVoxels, emission: np.ndarray, hull: np.ndarray) -> 
     outline as they see it, coarsely, is that of the other side, too (`_match_front`).
 
     Args:
-        emission: (V,) >= 0, some of it > 0.   hull: (V,) bool, voxels that the mean is of.
+        emission: (V,) >= 0, some of it > 0.
     """
     from scipy.ndimage import gaussian_filter, gaussian_filter1d  # here: it takes long to load
 
@@ -137,8 +112,7 @@ def turn_around(voxels: FlameVoxels, emission: np.ndarray, hull: np.ndarray) -> 
         sums = np.bincount(place, values, np.prod(size)).reshape(size)
         return gaussian_filter(sums, (0, *BETWEEN)).ravel()[place]
 
-    count = smoothed(hull.astype(np.float64))
-    mean = np.where(hull, smoothed(np.where(hull, emission, 0)) / np.where(hull, count, 1), 0)
+    mean = smoothed(emission) / smoothed(np.ones(len(emission)))
     ahead = _common_ray(voxels)
     if ahead is None:
         return mean
@@ -175,21 +149,6 @@ def _match_front(
     tells = even > DIMMEST * even.max()
     factor = np.where(tells, look(from_front, emission) / np.where(tells, even, 1), 0)
     return np.clip(factor, *FACTORS).ravel()[from_side]
-
-
-def _hull_and_views(
-    voxels: FlameVoxels, intensity: np.ndarray, mask: np.ndarray
-) -> tuple[np.ndarray, list[_PooledView]]:
-    """(V,) bool, voxels that the frame's masks leave standing, and the frame's pooled views."""
-    hit = voxels.sample(mask.astype(np.int8), outside=-1)
-    return (hit != 0).all(0) & (hit == 1).any(0), _pooled_views(voxels, intensity, hit == 1)
-
-
-def _in_unit(emission: np.ndarray, views: list[_PooledView]) -> np.ndarray:
-    """Return the same emission, as bright in all views together as these are where it may be."""
-    seen = sum(view.light[np.unique(view.cell)].sum() for view in views)
-    shown = sum(emission[view.seen].sum() for view in views)
-    return emission * (seen / shown) if shown > 0 else emission
 
 
 def round_flame(voxels: FlameVoxels, emission: np.ndarray) -> np.ndarray:
@@ -253,35 +212,35 @@ def _inner_radius(shape: np.ndarray) -> np.ndarray:
 
 
 class _PooledView(NamedTuple):
-    seen: np.ndarray  # (V,) bool, voxels with flame behind them
-    cell: np.ndarray  # the cell that each of those falls into
-    light: np.ndarray  # of every cell
+    share: csr_matrix  # (P, V): how much of each voxel every pixel has
+    light: np.ndarray  # (P,) of every pixel
 
 
-def _pooled_views(voxels: FlameVoxels, intensity: np.ndarray, seen: np.ndarray) -> list[_PooledView]:
-    """Return the views of one frame, their pixels pooled to cells of about a voxel's size. seen: (C, V) bool."""
-    pixels_per_m = float(np.nanmedian(np.abs(voxels.jacobian).max((-1, -2))))
-    footprint = max(1, int(np.ceil(voxels.voxel_size * pixels_per_m)))
-    cells_per_row = intensity.shape[2] // footprint + 1
-    rows, columns = (np.arange(n) // footprint for n in intensity.shape[1:])
-    pixel_cell = (rows[:, None] * cells_per_row + columns[None]).ravel()
-    pixels = np.maximum(np.bincount(pixel_cell), 1)
-    views = []
-    for c in range(len(intensity)):
-        column, row = (voxels.pixel[c][seen[c]] // footprint).astype(np.int64).T
-        light = np.bincount(pixel_cell, intensity[c].ravel()) / pixels
-        views.append(_PooledView(seen[c], row * cells_per_row + column, light))
-    return views
+def _pool_view(voxels: FlameVoxels, c: int, picture: np.ndarray, seen: np.ndarray) -> _PooledView:
+    """Return camera c's view of one frame, in pixels of about a voxel's size.
+
+    Each voxel is shared by the four pixels around it. Were it all in the nearest one, some pixels would have two layers
+    of voxels and others one or none, and the flame dark bands.
+
+    Args:
+        picture: (H, W).   seen: (V,) bool, voxels with flame behind them.
+    """
+    import cv2  # here: it takes long to load
+
+    pixels_per_voxel = voxels.voxel_size * float(np.nanmedian(np.abs(voxels.jacobian[c]).max((-1, -2))))
+    size = np.maximum(np.round(np.array(picture.shape[::-1]) / pixels_per_voxel), 1).astype(int)
+    pooled = cv2.resize(picture.astype(np.float32), size.tolist(), interpolation=cv2.INTER_AREA)
+    place = np.where(seen[:, None], voxels.pixel[c] * (size / picture.shape[::-1]), np.nan)
+    return _PooledView(share_among_pixels(place, *size), pooled.ravel().astype(np.float64))
 
 
 def _maximise(emission: np.ndarray, views: list[_PooledView], iterations: int) -> np.ndarray:
+    count = np.maximum(sum(view.share.sum(axis=0).A1 for view in views), np.finfo(np.float64).tiny)
     for _ in range(iterations):
         ratio = np.zeros_like(emission)
-        count = np.zeros_like(emission)
         for view in views:
-            projected = np.bincount(view.cell, emission[view.seen], len(view.light))
-            # A cell without any standing voxel explains nothing and asks for nothing.
-            ratio[view.seen] += (view.light / np.where(projected > 0, projected, np.inf))[view.cell]
-            count[view.seen] += 1
-        emission = emission * ratio / np.maximum(count, 1)
+            projected = view.share @ emission
+            # A pixel without any shining voxel explains nothing and asks for nothing.
+            ratio += view.share.T @ np.where(projected > DARK, view.light / np.maximum(projected, DARK), 0)
+        emission = emission * ratio / count
     return emission

@@ -17,21 +17,19 @@ from typing import NamedTuple
 
 import cv2
 import numpy as np
-from scipy.ndimage import gaussian_filter
-from scipy.sparse import coo_matrix, csr_matrix
+from scipy.sparse import diags
 
 from gof.core.cameras import Camera
 from gof.core.colour import srgb_to_linear
 from gof.host.threads import map_on_cores
 from gof.reconstruct.observation import Observation
-from gof.reconstruct.tomography import find_compact_emission
-from gof.reconstruct.voxels import FlameVoxels, carve
+from gof.reconstruct.tomography import TURNS, find_emission
+from gof.reconstruct.voxels import FlameVoxels, carve, share_among_pixels
 from gof.render.bins import BLOCK
 
 VIEWS = 12  # around the flame, one every 30 degrees; and one from above
 SATURATED, OFTEN = 0.95, 0.25  # linear light; of a flame's pixels, from which share on a channel tells too little
 THICKEST = 2e-3  # of the light that passes through: what is thicker is not told apart
-BLUR = 0.4  # px; voxels are points on a grid, and drawn on another one they would beat
 FAR, ANOTHER = 4.0, 0.02  # std-devs of the light around its axis; of all light, from which on it is another flame
 UNLIKE = 1.5  # times the usual light, from which on a camera's exposure is another
 LEVELS = 48  # of the curve of light by thickness
@@ -97,21 +95,31 @@ class FlameEmission:
     emission: np.ndarray
 
     def pool(self, coarser: FlameVoxels) -> np.ndarray:
-        """Return (F, W) the light within each of W coarser voxels of the same world; light outside them is left out."""
-        first = coarser.center[0] - coarser.index[0] * coarser.voxel_size  # the centre of the grid's first cell
-        cell = np.rint((self.voxels.center - first) / coarser.voxel_size).astype(np.int64)
-        inside = ((cell >= 0) & (cell < coarser.resolution)).all(1)
-        rows = np.full(coarser.resolution, len(coarser.index))
-        rows[tuple(coarser.index.T)] = np.arange(len(coarser.index))
-        row = np.full(len(cell), len(coarser.index))
-        row[inside] = rows[tuple(cell[inside].T)]
-        return np.stack([np.bincount(row, light, len(coarser.index) + 1)[:-1] for light in self.emission])
+        """Return (F, W) the light within each of W coarser voxels of the same world; light outside them is left out.
+
+        By the part of each voxel that is within: by its middle, every other coarser one would have twice its light.
+        """
+        fine, size = self.voxels, self.voxels.voxel_size / coarser.voxel_size
+        away = coarser.first_center - fine.first_center
+        dense = np.zeros(fine.resolution, np.float32)
+        shares = []
+        for axis in range(3):
+            low = (np.arange(fine.resolution[axis]) - 0.5) * size + 0.5 - away[axis] / coarser.voxel_size
+            start = np.arange(coarser.resolution[axis])[:, None]
+            overlap = np.minimum(low + size, start + 1) - np.maximum(low, start)
+            shares.append((np.maximum(overlap, 0) / size).astype(np.float32))
+
+        def pooled(light: np.ndarray) -> np.ndarray:
+            dense[tuple(fine.index.T)] = light
+            return np.einsum("ax,by,cz,xyz->abc", *shares, dense, optimize=True)[tuple(coarser.index.T)]
+
+        return np.stack([pooled(light) for light in self.emission])
 
 
-def find_compact_flame(
+def find_flame_emission(
     observation: Observation, longest_side: int, progress: Callable[..., None] | None = None
 ) -> FlameEmission:
-    """Return a clip's light by `find_compact_emission`, of what its pictures show unsaturated.
+    """Return a clip's light by `find_emission`, turned, of what its pictures show unsaturated.
 
     Args:
         longest_side: voxels along the longest side of the flame, see `carve`, which says what is raised, too.
@@ -124,7 +132,7 @@ def find_compact_flame(
     nothing = np.zeros(len(voxels.center), np.float32)
 
     def find(f: int) -> np.ndarray:
-        found = find_compact_emission(voxels, light[f], observation.mask[f]) if taken[f] else nothing
+        found = find_emission(voxels, light[f], observation.mask[f], turns=TURNS) if taken[f] else nothing
         return found.astype(np.float32)
 
     emission = np.stack(map_on_cores(find, range(len(light)), progress))
@@ -229,29 +237,12 @@ def cameras_around(voxels: FlameVoxels, cameras: list[Camera], views: int = VIEW
 
 
 def _thickness(voxels: FlameVoxels, emission: np.ndarray, camera: Camera) -> np.ndarray:
-    """(F, h, w) of emission (V, F) along the rays of a camera with pixels of about a voxel."""
-    drawn = _footprints(voxels, camera) @ emission
-    pictures = drawn.T.reshape(-1, camera.height, camera.width)
-    return np.stack([gaussian_filter(p, BLUR, mode="constant") for p in pictures]).astype(np.float32)
-
-
-def _footprints(voxels: FlameVoxels, camera: Camera) -> csr_matrix:
-    """(h * w, V): how much of each voxel every pixel has, by bilinear weights; what is in no pixel is left out."""
-    pixel, depth = camera.project(voxels.center)
-    column, row = np.nan_to_num(pixel - 0.5, nan=-9.0).T
-    x, y = np.floor(column).astype(int), np.floor(row).astype(int)
-    fx, fy = column - x, row - y
+    """(F, h, w) float32 of emission (V, F) along the rays of a camera with pixels of about a voxel."""
+    place, depth = camera.project(voxels.center)
     with np.errstate(divide="ignore", invalid="ignore"):
         pixels = np.where(depth > 0, (voxels.voxel_size * camera.K[0, 0] / depth) ** 2, 0)  # that a voxel's face fills
-    parts = []
-    for dx, dy in ((0, 0), (1, 0), (0, 1), (1, 1)):
-        weight = pixels * (fx if dx else 1 - fx) * (fy if dy else 1 - fy)
-        inside = (x + dx >= 0) & (x + dx < camera.width) & (y + dy >= 0) & (y + dy < camera.height)
-        parts.append(((y + dy) * camera.width + x + dx, weight, inside))
-    cell, weight, inside = (np.concatenate(p) for p in zip(*parts, strict=True))
-    voxel = np.tile(np.arange(len(depth)), 4)
-    shape = camera.width * camera.height, len(depth)
-    return coo_matrix((weight[inside].astype(np.float32), (cell[inside], voxel[inside])), shape).tocsr()
+    share = share_among_pixels(place, camera.width, camera.height) @ diags(pixels)
+    return (share.astype(np.float32) @ emission).T.reshape(-1, camera.height, camera.width)
 
 
 def _light_by_thickness(

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.sparse import coo_matrix, csr_matrix
 
 from gof.core.cameras import Camera
 from gof.core.errors import DataFormatError
@@ -34,6 +35,11 @@ class FlameVoxels:
     jacobian: np.ndarray
     forward: np.ndarray
 
+    @property
+    def first_center(self) -> np.ndarray:
+        """(3,) centre of the grid's first voxel, whether it is among these or not."""
+        return self.center[0] - self.index[0] * self.voxel_size
+
     def only(self, rows: np.ndarray) -> FlameVoxels:
         """Return some of the voxels, of the same grid. rows: indices, or (V,) bool."""
         parts = {name: getattr(self, name)[rows] for name in ("center", "index")}
@@ -52,6 +58,27 @@ class FlameVoxels:
             column, row = self.pixel[c][inside].astype(np.int64).T
             result[c, inside] = image[row, column]
         return result
+
+
+def share_among_pixels(place: np.ndarray, width: int, height: int) -> csr_matrix:
+    """Return (height * width, V): how much of each point every pixel of a picture has, by bilinear weights.
+
+    Args:
+        place: (V, 2) continuous positions in the picture, px. A point at NaN is in no pixel, and what reaches beyond
+            the edge is left out.
+    """
+    column, row = np.nan_to_num(place - 0.5, nan=-9.0).T
+    x, y = np.floor(column).astype(np.int64), np.floor(row).astype(np.int64)
+    across, down = column - x, row - y
+    pixels, weights, points = [], [], []
+    for dx, dy in ((0, 0), (1, 0), (0, 1), (1, 1)):
+        (inside,) = np.nonzero((x + dx >= 0) & (x + dx < width) & (y + dy >= 0) & (y + dy < height))
+        weight = (across if dx else 1 - across) * (down if dy else 1 - down)
+        pixels.append(((y + dy) * width + x + dx)[inside])
+        weights.append(weight[inside])
+        points.append(inside)
+    pixel, weight, point = map(np.concatenate, (pixels, weights, points))
+    return coo_matrix((weight, (pixel, point)), (width * height, len(place))).tocsr()
 
 
 def flame_box(cameras: list[Camera], masks: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
