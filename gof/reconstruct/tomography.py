@@ -227,11 +227,12 @@ def _pool_view(voxels: FlameVoxels, c: int, picture: np.ndarray, seen: np.ndarra
     """
     import cv2  # here: it takes long to load
 
-    pixels_per_voxel = voxels.voxel_size * float(np.nanmedian(np.abs(voxels.jacobian[c]).max((-1, -2))))
+    per_metre = np.abs(voxels.jacobian[c, seen]).max((-1, -2))
+    pixels_per_voxel = voxels.voxel_size * float(np.median(per_metre)) if len(per_metre) else 1.0
     size = np.maximum(np.round(np.array(picture.shape[::-1]) / pixels_per_voxel), 1).astype(int)
-    pooled = cv2.resize(picture.astype(np.float32), size.tolist(), interpolation=cv2.INTER_AREA)
+    pooled = cv2.resize(picture.astype(np.float64), size.tolist(), interpolation=cv2.INTER_AREA)
     place = np.where(seen[:, None], voxels.pixel[c] * (size / picture.shape[::-1]), np.nan)
-    return _PooledView(share_among_pixels(place, *size), pooled.ravel().astype(np.float64))
+    return _PooledView(share_among_pixels(place, *size), pooled.ravel())
 
 
 def _maximise(emission: np.ndarray, views: list[_PooledView], iterations: int) -> np.ndarray:
