@@ -52,8 +52,8 @@ def find_emission(
     past. A flame is about as deep as it is wide, so it is done again from a round one (`round_flame`; +z is up), and
     from what the flame is on the average all around its axis (`turn_around`): whether it is filled or hollow, and how
     it fades outward, its views say for the sides that they do not see. Then its light is drawn together, raised to a
-    power a little above 1 in each iteration: what lies along one ray alone dies out, as what filmed pictures disagree
-    on does. Figures of each choice: `python -m gof_benchmark.evidence.tomography`.
+    power a little above 1 in each iteration: what lies along one ray alone dies out, and what filmed pictures disagree
+    on; a single view agrees with itself. Figures of each choice: `python -m gof_benchmark.evidence.tomography`.
 
     Args:
         intensity: (C, H, W) linear light >= 0.   mask: (C, H, W) bool.   rounded: do it again from a round flame.
@@ -74,7 +74,7 @@ def find_emission(
     if turns and emission.any():
         for _ in range(turns):
             emission = _maximise(turn_around(part, emission), views, iterations)
-        for _ in range(iterations // 2):
+        for _ in range(iterations // 2 if len(views) > 1 else 0):
             emission = _maximise(emission, views, 1) ** power
         emission = _maximise(emission, views, PLAIN)
     found[hull] = emission
