@@ -12,7 +12,8 @@ from gof.reconstruct.voxels import FlameVoxels, share_among_pixels
 UP = np.array([0.0, 0.0, 1.0])
 TURNS = 2  # times that a flame is found again from what it is on the average all around its axis
 ITERATIONS = 12
-POWER, PLAIN = 1.07, 2  # by which light is drawn together in each of half as many; iterations after it, without
+POWER = 1.07  # that draws light together, in half as many iterations more
+PLAIN = 2  # iterations after these, without it
 POOLED = 1.5  # layers, std-dev over which its middle is found
 BETWEEN = (0.7, 0.5)  # layers and rings, std-dev over which their means are smoothed: a grid's rings are jagged
 COARSE = 4.0  # voxels, std-dev: finer than that, a flame's sides have licks of their own
@@ -52,8 +53,8 @@ def find_emission(
     past. A flame is about as deep as it is wide, so it is done again from a round one (`round_flame`; +z is up), and
     from what the flame is on the average all around its axis (`turn_around`): whether it is filled or hollow, and how
     it fades outward, its views say for the sides that they do not see. Then its light is drawn together, raised to a
-    power a little above 1 in each iteration: what lies along one ray alone dies out, and what filmed pictures disagree
-    on; a single view agrees with itself. Figures of each choice: `python -m gof_benchmark.evidence.tomography`.
+    power a little above 1 in each iteration. Light along a single ray, and light that filmed pictures disagree on, dies
+    out; a single view agrees with itself. Figures of each choice: `python -m gof_benchmark.evidence.tomography`.
 
     Args:
         intensity: (C, H, W) linear light >= 0.   mask: (C, H, W) bool.   rounded: do it again from a round flame.

@@ -97,7 +97,8 @@ class FlameEmission:
     def pool(self, coarser: FlameVoxels) -> np.ndarray:
         """Return (F, W) the light within each of W coarser voxels of the same world; light outside them is left out.
 
-        By the part of each voxel that is within: by its middle, every other coarser one would have twice its light.
+        Each voxel gives the part of it that is within. Were it counted where its middle is, every other coarser voxel
+        would have twice the light.
         """
         fine, size = self.voxels, self.voxels.voxel_size / coarser.voxel_size
         away = coarser.first_center - fine.first_center
