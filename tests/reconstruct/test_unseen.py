@@ -260,8 +260,15 @@ def test_fire_adds_light_to_a_plain_plate():
 
 def test_finer_pixels_are_averaged():
     fine = np.random.default_rng(0).random((6, 10)).astype(np.float32)
-    coarse = halve(Float(fine.ravel()), 5, 3).numpy()
-    np.testing.assert_allclose(coarse, cv2.resize(fine, (5, 3), interpolation=cv2.INTER_AREA).ravel(), rtol=1e-6)
+    plane = Float(fine.ravel())
+    dr.enable_grad(plane)
+    coarse = halve(plane, 5, 3)
+    expected = cv2.resize(fine, (5, 3), interpolation=cv2.INTER_AREA)
+    np.testing.assert_allclose(dr.detach(coarse).numpy(), expected.ravel(), rtol=1e-6)
+    weight = np.arange(15, dtype=np.float32)
+    dr.backward(dr.sum(coarse * Float(weight)))
+    each = np.kron(weight.reshape(3, 5), np.full((2, 2), 0.25))
+    np.testing.assert_allclose(dr.grad(plane).numpy(), each.ravel(), rtol=1e-6)
 
 
 def test_gaussians_are_free_within_the_spread():
