@@ -10,13 +10,12 @@ from scipy.sparse import csr_matrix
 from gof.reconstruct.voxels import FlameVoxels, share_among_pixels
 
 UP = np.array([0.0, 0.0, 1.0])
-TURNS = 2  # times that a flame is found again from what it is on the average all around its axis
+TURNS = 3  # times that a flame is found again from what it is on the average all around its axis
 ITERATIONS = 12
-POWER = 1.07  # that draws light together, in half as many iterations more
-PLAIN = 2  # iterations after these, without it
 POOLED = 1.5  # layers, std-dev over which its middle is found
 BETWEEN = (0.7, 0.5)  # layers and rings, std-dev over which their means are smoothed: a grid's rings are jagged
 COARSE = 4.0  # voxels, std-dev: finer than that, a flame's sides have licks of their own
+TAIL, AROUND = 0.3, 8.0  # of the brightest along a ray, of light over so many voxels around (std-dev): less is smeared
 DIMMEST, FACTORS = 1e-3, (0.05, 4.0)  # of the brightest, below which a mean tells nothing; by which it may be changed
 NEAR = 3.0  # voxels, std-dev: light so near to each other has its middle at the same depth
 OUTLINE = 0.15  # of the light around it: what is darker is outside a lick's outline
@@ -43,8 +42,8 @@ def find_emission(
     mask: np.ndarray,
     rounded: bool = True,
     turns: int = 0,
-    power: float = POWER,
     iterations: int = ITERATIONS,
+    tail: float = TAIL,
 ) -> np.ndarray:
     """Emission per voxel of one frame by multiplicative expectation maximisation (Shepp & Vardi 1982).
 
@@ -52,13 +51,13 @@ def find_emission(
     agree on, and is never negative. From an even start that is the whole hull, with its corners that no camera looks
     past. A flame is about as deep as it is wide, so it is done again from a round one (`round_flame`; +z is up), and
     from what the flame is on the average all around its axis (`turn_around`): whether it is filled or hollow, and how
-    it fades outward, its views say for the sides that they do not see. Then its light is drawn together, raised to a
-    power a little above 1 in each iteration. Light along a single ray, and light that filmed pictures disagree on, dies
-    out; a single view agrees with itself. Figures of each choice: `python -m gof_benchmark.evidence.tomography`.
+    it fades outward, its views say for the sides that they do not see. Each bright pixel then still shines all along
+    its ray: so the rays' dim tails are cut off (`cut_tails`), and their light goes to where the flame is. Figures of
+    each choice: `python -m gof_benchmark.evidence.tomography`.
 
     Args:
         intensity: (C, H, W) linear light >= 0.   mask: (C, H, W) bool.   rounded: do it again from a round flame.
-        turns: so often from the flame all around, and then drawn together by `power`.   iterations: of each.
+        turns: so often from the flame all around, and then without tails.   iterations: of each.   tail: see `cut_tails`.
     Returns:
         (V,) float64 >= 0, in one unit for all frames of a clip; 0 outside the frame's hull; all 0 for an empty mask.
     """
@@ -75,9 +74,7 @@ def find_emission(
     if turns and emission.any():
         for _ in range(turns):
             emission = _maximise(turn_around(part, emission), views, iterations)
-        for _ in range(iterations // 2 if len(views) > 1 else 0):
-            emission = _maximise(emission, views, 1) ** power
-        emission = _maximise(emission, views, PLAIN)
+        emission = _maximise(cut_tails(part, emission, tail), views, iterations)
     found[hull] = emission
     return found
 
@@ -85,9 +82,10 @@ def find_emission(
 def turn_around(voxels: FlameVoxels, emission: np.ndarray) -> np.ndarray:
     """Return (V,) the mean emission of each ring around a flame's middle, drawn to be as deep as wide (+z is up).
 
-    Flames that burn side by side have a middle each; that of a flame may wander from height to height. A mean over
-    rings has a long tail where light was smeared along the rays. Where all cameras look from one side, a flame's
-    outline as they see it, coarsely, is that of the other side, too (`_match_front`).
+    Flames that burn side by side have a middle each; that of a flame may wander from height to height. Of a wide ring,
+    cameras see past most, and find it dark. Where they do not, it is likely dark, too, as far as flames are round: the
+    mean is the geometric mean of that over the ring's part in the hull, and that over the ring. Where all cameras look
+    from one side, a flame's outline as they see it, coarsely, is that of the other side, too (`_match_front`).
 
     Args:
         emission: (V,) >= 0, some of it > 0.
@@ -109,11 +107,12 @@ def turn_around(voxels: FlameVoxels, emission: np.ndarray) -> np.ndarray:
     ring = np.minimum(np.rint(np.linalg.norm(offset, axis=1)).astype(np.int64), size[2] - 1)
     place = np.ravel_multi_index((flame, layer, ring), size)
 
-    def smoothed(values: np.ndarray) -> np.ndarray:
-        sums = np.bincount(place, values, np.prod(size)).reshape(size)
-        return gaussian_filter(sums, (0, *BETWEEN)).ravel()[place]
+    def smoothed(sums: np.ndarray) -> np.ndarray:
+        return gaussian_filter(sums.reshape(size), (0, *BETWEEN)).ravel()[place]
 
-    mean = smoothed(emission) / smoothed(np.ones(len(emission)))
+    shone, within = (smoothed(np.bincount(place, of_each, np.prod(size))) for of_each in (emission, np.ones(len(place))))
+    radius = np.arange(size[2])
+    mean = shone / np.sqrt(within * smoothed(np.broadcast_to(2 * np.pi * np.where(radius, radius, 1 / 8), size)))
     ahead = _common_ray(voxels)
     if ahead is None:
         return mean
@@ -169,11 +168,7 @@ def round_flame(voxels: FlameVoxels, emission: np.ndarray) -> np.ndarray:
         return np.ones(len(emission))
     from scipy.ndimage import gaussian_filter  # here: it takes long to load
 
-    right = np.cross(ahead, [0.0, 0.0, 1.0]) / np.hypot(*ahead[:2])
-    place = voxels.center @ np.stack([right, np.cross(right, ahead)], -1) / voxels.voxel_size
-    across, up = np.round(place - place.min(0)).astype(np.int64).T
-    shape = across.max() + 1, up.max() + 1
-    column = across * shape[1] + up
+    column, shape = _columns_along(voxels, ahead)
     depth = voxels.center @ ahead
 
     def look(values: np.ndarray) -> np.ndarray:
@@ -186,6 +181,36 @@ def round_flame(voxels: FlameVoxels, emission: np.ndarray) -> np.ndarray:
     width = gaussian_filter(_inner_radius(light > OUTLINE * gaussian_filter(light, 2 * NEAR, mode="constant")), 1.0) / 2
     away2 = (away / (np.maximum(width, 1) * voxels.voxel_size).ravel()[column]) ** 2
     return np.exp(-0.5 * np.minimum(away2, FAINTEST))
+
+
+def cut_tails(voxels: FlameVoxels, emission: np.ndarray, tail: float = TAIL) -> np.ndarray:
+    """Return the emission (V,) without the dim tails of its rays, 0 there.
+
+    Where all cameras look from one side, a bright pixel's light is smeared along its ray, in front of the flame and
+    behind it, where hardly any other light is. Coarsely, over a few voxels around, that is a tail, below a part `tail`
+    of the brightest along the ray. A flame that two bright parts of are far apart along the rays keeps both.
+    """
+    ahead = _common_ray(voxels)
+    if ahead is None:
+        return emission
+    from scipy.ndimage import gaussian_filter  # here: it takes long to load
+
+    cells = tuple((voxels.index - voxels.index.min(0)).T)
+    dense = np.zeros([cell.max() + 1 for cell in cells], np.float32)
+    dense[cells] = emission / max(emission.max(), DARK)
+    coarse = gaussian_filter(dense, AROUND, mode="constant")[cells]
+    column, shape = _columns_along(voxels, ahead)
+    brightest = np.zeros(shape[0] * shape[1], np.float32)
+    np.maximum.at(brightest, column, coarse)
+    return np.where(coarse > tail * brightest[column], emission, 0)
+
+
+def _columns_along(voxels: FlameVoxels, ahead: np.ndarray) -> tuple[np.ndarray, tuple[int, int]]:
+    """Return the column (V,) int along a direction (3,), not upright, that each voxel is in, of (A, U): across, up."""
+    right = np.cross(ahead, UP) / np.hypot(*ahead[:2])
+    place = voxels.center @ np.stack([right, np.cross(right, ahead)], -1) / voxels.voxel_size
+    across, up = np.round(place - place.min(0)).astype(np.int64).T
+    return across * (up.max() + 1) + up, (int(across.max()) + 1, int(up.max()) + 1)
 
 
 def _common_ray(voxels: FlameVoxels) -> np.ndarray | None:
