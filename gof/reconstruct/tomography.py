@@ -82,9 +82,9 @@ def find_emission(
 def turn_around(voxels: FlameVoxels, emission: np.ndarray) -> np.ndarray:
     """Return (V,) the mean emission of each ring around a flame's middle, drawn to be as deep as wide (+z is up).
 
-    Flames that burn side by side have a middle each; that of a flame may wander from height to height. Of a wide ring,
-    cameras see past most, and find it dark. Where they do not, it is likely dark, too, as far as flames are round: the
-    mean is the geometric mean of that over the ring's part in the hull, and that over the ring. Where all cameras look
+    Flames that burn side by side have a middle each; that of a flame may wander from height to height. Cameras see
+    past most of a wide ring, which is dark there, and so likely is the rest of it, as far as flames are round. So this
+    is the geometric mean of two means: over the ring's part in the hull, and over all of it. Where all cameras look
     from one side, a flame's outline as they see it, coarsely, is that of the other side, too (`_match_front`).
 
     Args:
@@ -112,7 +112,8 @@ def turn_around(voxels: FlameVoxels, emission: np.ndarray) -> np.ndarray:
 
     shone, within = (smoothed(np.bincount(place, of_each, np.prod(size))) for of_each in (emission, np.ones(len(place))))
     radius = np.arange(size[2])
-    mean = shone / np.sqrt(within * smoothed(np.broadcast_to(2 * np.pi * np.where(radius, radius, 1 / 8), size)))
+    whole = 2 * np.pi * np.where(radius > 0, radius, 1 / 8)  # voxels of a ring; the innermost has a diameter of one
+    mean = shone / np.sqrt(within * smoothed(np.broadcast_to(whole, size)))
     ahead = _common_ray(voxels)
     if ahead is None:
         return mean

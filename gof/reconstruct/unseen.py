@@ -30,7 +30,7 @@ from gof.render.bins import BLOCK
 VIEWS = 12  # around the flame, one every 30 degrees; and one from above
 SATURATED, OFTEN = 0.95, 0.25  # linear light; of a flame's pixels, from which share on a channel tells too little
 THICKEST = 2e-3  # of the light that passes through: what is thicker is not told apart
-FAR, ANOTHER = 4.0, 0.02  # std-devs of the light around its axis; of all light, from which on it is another flame
+FAR, ANOTHER = 2.5, 0.02  # std-devs of the light around its axis; of all light, from which on it is another flame
 UNLIKE = 1.5  # times the usual light, from which on a camera's exposure is another
 LEVELS = 48  # of the curve of light by thickness
 THIN, SURE = 0.1, 0.5  # of the usual thickness: below the first it tells nothing of its light, up to the second it does
