@@ -114,7 +114,7 @@ def turn_around(voxels: FlameVoxels, emission: np.ndarray) -> np.ndarray:
     radius = np.arange(size[2])
     whole = 2 * np.pi * np.where(radius > 0, radius, 1 / 8)  # voxels of a ring; the innermost has a diameter of one
     mean = shone / np.sqrt(within * smoothed(np.broadcast_to(whole, size)))
-    ahead = _common_ray(voxels)
+    ahead = find_common_ray(voxels)
     if ahead is None:
         return mean
     level = ahead[:2] / np.hypot(*ahead[:2])
@@ -164,7 +164,7 @@ def round_flame(voxels: FlameVoxels, emission: np.ndarray) -> np.ndarray:
     Args:
         emission: (V,) >= 0, that reproduces the views.
     """
-    ahead = _common_ray(voxels)
+    ahead = find_common_ray(voxels)
     if ahead is None:
         return np.ones(len(emission))
     from scipy.ndimage import gaussian_filter  # here: it takes long to load
@@ -191,7 +191,7 @@ def cut_tails(voxels: FlameVoxels, emission: np.ndarray, tail: float = TAIL) -> 
     behind it, where hardly any other light is. Coarsely, over a few voxels around, that is a tail, below a part `tail`
     of the brightest along the ray. A flame that two bright parts of are far apart along the rays keeps both.
     """
-    ahead = _common_ray(voxels)
+    ahead = find_common_ray(voxels)
     if ahead is None:
         return emission
     from scipy.ndimage import gaussian_filter  # here: it takes long to load
@@ -214,7 +214,7 @@ def _columns_along(voxels: FlameVoxels, ahead: np.ndarray) -> tuple[np.ndarray, 
     return across * (up.max() + 1) + up, (int(across.max()) + 1, int(up.max()) + 1)
 
 
-def _common_ray(voxels: FlameVoxels) -> np.ndarray | None:
+def find_common_ray(voxels: FlameVoxels) -> np.ndarray | None:
     """Return (3,) the cameras' common direction; None where they stand all around, or look down steeply."""
     rays = np.cross(voxels.jacobian[:, :, 0], voxels.jacobian[:, :, 1])
     rays = np.where(np.isfinite(rays), rays, 0).sum(1)  # NaN: a voxel beside or behind the camera

@@ -23,14 +23,15 @@ from gof.core.cameras import Camera
 from gof.core.colour import srgb_to_linear
 from gof.host.threads import map_on_cores
 from gof.reconstruct.observation import Observation
-from gof.reconstruct.tomography import TURNS, find_emission
+from gof.reconstruct.tomography import TURNS, find_common_ray, find_emission
 from gof.reconstruct.voxels import FlameVoxels, carve, share_among_pixels
 from gof.render.bins import BLOCK
 
 VIEWS = 12  # around the flame, one every 30 degrees; and one from above
 SATURATED, OFTEN = 0.95, 0.25  # linear light; of a flame's pixels, from which share on a channel tells too little
 THICKEST = 2e-3  # of the light that passes through: what is thicker is not told apart
-FAR, ANOTHER = 2.5, 0.02  # std-devs of the light around its axis; of all light, from which on it is another flame
+FAR, BEHIND = 4.0, 3.0  # std-devs of the light around its axis; and along the cameras' common direction
+ANOTHER = 0.02  # of all light, from which on what is so far is another flame
 UNLIKE = 1.5  # times the usual light, from which on a camera's exposure is another
 LEVELS = 48  # of the curve of light by thickness
 THIN, SURE = 0.1, 0.5  # of the usual thickness: below the first it tells nothing of its light, up to the second it does
@@ -158,12 +159,16 @@ def find_gains(voxels: FlameVoxels, light: np.ndarray, mask: np.ndarray) -> np.n
 
 def _is_near(voxels: FlameVoxels, light: np.ndarray) -> np.ndarray:
     """(V,) bool: where a clip's light (V,) >= 0 is its flame. Masks' specks and surroundings in the fire's light,
-    which shine far beside it, are none: they would be streaks in the air from other sides. More light is a flame."""
+    which shine far beside it, are none: they would be streaks in the air from other sides. Nor is lit ground, which
+    cameras on one side find far before or behind it. More light is a flame."""
     if not light.any():
         return np.ones(len(light), bool)
     away = voxels.center[:, :2] - np.average(voxels.center[:, :2], axis=0, weights=light)
-    away2 = (away**2).sum(1)
-    near = away2 <= FAR**2 * np.average(away2, weights=light)
+    ahead = find_common_ray(voxels)
+    near = np.ones(len(light), bool)
+    for direction, most in ((np.eye(2), FAR), *([] if ahead is None else [(ahead[:2, None], BEHIND)])):
+        away2 = ((away @ direction) ** 2).sum(1)
+        near &= away2 <= most**2 * np.average(away2, weights=light)
     return near if light[~near].sum() < ANOTHER * light.sum() else np.ones(len(light), bool)
 
 

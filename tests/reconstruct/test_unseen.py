@@ -218,6 +218,21 @@ def test_light_far_beside_the_flame_is_none_of_it(monkeypatch):
     assert share(far, 0.2) > 0.005, "so bright, it is another flame"
 
 
+def test_lit_ground_behind_the_flame_is_none_of_it_and_fire_beside_it_is():
+    """A round flame, and a hundredth of its light 4.5 of its std-devs away: behind it, as its cameras look, or beside."""
+    cameras, deviation = arc(3), 0.1
+    voxels = carve(cameras, ball(cameras, MIDDLE, 0.6)[0][None], 40)
+    offset = voxels.center - MIDDLE
+    ahead = cameras[1].world_to_camera[2, :3]
+    flame = np.exp(-0.5 * (offset**2).sum(1) / deviation**2)
+    flame *= (offset**2).sum(1) < (2.5 * deviation) ** 2
+    for direction, kept in ((ahead, False), (-ahead, False), (np.cross(ahead, [0, 0, 1]), True)):
+        patch = np.linalg.norm(offset - 4.5 * deviation * direction, axis=1) < 0.05
+        light = flame + patch * 0.01 * flame.sum() / patch.sum()
+        near = unseen._is_near(voxels, light)
+        assert near[flame > 0].all() and (near[patch].all() if kept else not near[patch].any())
+
+
 @pytest.mark.parametrize("side", [16, 24, 30])
 def test_light_is_pooled_in_coarser_voxels(side):
     """A ball's light keeps its sum and its place, and even light stays even, whatever the ratio of the voxels."""
