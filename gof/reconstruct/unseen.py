@@ -30,7 +30,7 @@ from gof.render.bins import BLOCK
 VIEWS = 12  # around the flame, one every 30 degrees; and one from above
 SATURATED, OFTEN = 0.95, 0.25  # linear light; of a flame's pixels, from which share on a channel tells too little
 THICKEST = 2e-3  # of the light that passes through: what is thicker is not told apart
-FAR, BEHIND = 4.0, 3.0  # std-devs of the light around its axis; and along the cameras' common direction
+FAR, BEHIND = 4.0, 3.5  # std-devs of the light around its axis; and along the cameras' common direction
 ANOTHER = 0.02  # of all light, from which on what is so far is another flame
 UNLIKE = 1.5  # times the usual light, from which on a camera's exposure is another
 LEVELS = 48  # of the curve of light by thickness
