@@ -111,9 +111,11 @@ def turn_around(voxels: FlameVoxels, emission: np.ndarray) -> np.ndarray:
         return gaussian_filter(sums.reshape(size), (0, *BETWEEN)).ravel()[place]
 
     shone, within = (smoothed(np.bincount(place, of_each, np.prod(size))) for of_each in (emission, np.ones(len(place))))
-    radius = np.arange(size[2])
-    whole = 2 * np.pi * np.where(radius > 0, radius, 1 / 8)  # voxels of a ring; the innermost has a diameter of one
-    mean = shone / np.sqrt(within * smoothed(np.broadcast_to(whole, size)))
+    mean = shone / within
+    if len(voxels.forward) > 1:  # a single view's hull is no deeper than wide (`carve`)
+        radius = np.arange(size[2])
+        whole = 2 * np.pi * np.where(radius > 0, radius, 1 / 8)  # voxels of a ring; the innermost has a diameter of one
+        mean *= np.sqrt(within / smoothed(np.broadcast_to(whole, size)))
     ahead = find_common_ray(voxels)
     if ahead is None:
         return mean
