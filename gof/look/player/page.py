@@ -33,7 +33,7 @@ from gof.look.images import PLATE_QUALITY, PLATE_SIDE, VIRIDIS, base64_text, fra
 from gof.look.pages import template
 from gof.look.player import legend
 from gof.look.player.opened import G, Opened, middle_of, time_span
-from gof.look.player.quantise import Packed, PackedFidelity, draw_views, measure, pack, unpack
+from gof.look.player.quantise import Packed, PackedFidelity, measure, pack, unpack
 
 PLAYER = Path(__file__).parent
 SCRIPTS = ("unpack.js", "view.js", "draw.js", "pictures.js", "greet.js", "links.js", "player.js")
@@ -118,12 +118,6 @@ class PageSetting:
             },
         }, changes
 
-    def checks(self) -> tuple[list[Camera], list[float]]:
-        """Return some of the cameras, and times, at which quantisation is measured."""
-        some = sorted({int(k) for k in np.linspace(0, len(self.cameras) - 1, CHECKED)})
-        times_s = [self.first_s + share * self.length_s for share in np.linspace(0, 1, CHECKED + 2)[1:-1]]
-        return [self.cameras[k] for k in some], times_s
-
     def truth_at(self, gaussians: TransientGaussians) -> np.ndarray | None:
         """Return the true velocity (N, 3) m/s at the Gaussians, None where it is not known."""
         if self.dataset is None or not self.dataset.has_velocity:
@@ -173,17 +167,14 @@ def share_page(
     results = measured_alike(results, dataset)
     setting = PageSetting.of(results, dataset)
     packed, agreement, truths = [], [], []
-    with ThreadPoolExecutor(2) as beside:  # pictures, and the true velocity, are decoded without Python's lock
+    with ThreadPoolExecutor(1) as beside:  # pictures are decoded and encoded without Python's lock
         pictures_progress = partial(progress, stage="pictures")
         pictures = beside.submit(setting.content, results[0], pictures_mb, pictures_progress)
         for number, result in enumerate(results):
             progress(number, len(results), stage=f"quantise {result.name}")
-            truth = beside.submit(setting.truth_at, result.gaussians)
-            views = setting.checks()
-            drawn = draw_views(result.gaussians, *views)  # loads the renderer meanwhile
-            truths.append(truth.result())
+            truths.append(setting.truth_at(result.gaussians))
             packed.append(pack(result.gaussians, truths[-1]))
-            agreement.append(measure(result.gaussians, unpack(packed[-1]), *views, drawn))
+            agreement.append(_checked(result.gaussians, packed[-1], setting))
         content, changes = pictures.result()
     shown = [packed_result(result.name, one) for result, one in zip(results, packed, strict=True)]
     content |= scales([result.gaussians for result in results], truths)
@@ -310,6 +301,13 @@ def _width(frames: list[str | None]) -> int | None:
     """Return the width in px of a camera's recorded pictures; None where it has none."""
     first = next(filter(None, frames), None)
     return None if first is None else Image.open(io.BytesIO(base64.b64decode(first))).width
+
+
+def _checked(gaussians: TransientGaussians, packed: Packed, setting: PageSetting) -> PackedFidelity:
+    cameras = setting.cameras
+    some = [cameras[i] for i in sorted({int(k) for k in np.linspace(0, len(cameras) - 1, CHECKED)})]
+    times = [setting.first_s + share * setting.length_s for share in np.linspace(0, 1, CHECKED + 2)[1:-1]]
+    return measure(gaussians, unpack(packed), some, times)
 
 
 def subtitle(results: Sequence[Opened], setting: PageSetting) -> str:

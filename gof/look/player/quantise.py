@@ -130,38 +130,25 @@ class PackedFidelity:
     velocity_m_s: float
 
 
-def draw_views(gaussians: TransientGaussians, cameras: list[Camera], times_s: list[float]) -> list[np.ndarray]:
-    """Return small pictures (H, W, 3) over black, in [0, 1], of every camera at every time."""
+def measure(
+    own: TransientGaussians, drawn: TransientGaussians, cameras: list[Camera], times_s: list[float]
+) -> PackedFidelity:
+    """Compare row by row the same Gaussians before and after."""
     from gof.render import render
 
-    pictures = []
+    psnr, moved = [], [0.0]
     for camera in cameras:
         share = min(1.0, LONGEST_SIDE / max(camera.width, camera.height))
         small = camera.scaled(max(1, round(camera.width * share)), max(1, round(camera.height * share)))
         for time_s in times_s:
-            pictures.append(np.clip(render(gaussians, small, time_s, shutter="global")["color"], 0, 1))
-    return pictures
-
-
-def measure(
-    own: TransientGaussians,
-    drawn: TransientGaussians,
-    cameras: list[Camera],
-    times_s: list[float],
-    pictures: list[np.ndarray] | None = None,
-) -> PackedFidelity:
-    """Compare row by row the same Gaussians before and after. pictures: of `own` by `draw_views`, where they exist."""
-    first, second = pictures or draw_views(own, cameras, times_s), draw_views(drawn, cameras, times_s)
-    errors = [float(np.mean((a - b) ** 2)) for a, b in zip(first, second, strict=True)]
-    moved = [0.0]
-    for camera in cameras:
-        for time_s in times_s:
+            first, second = (np.clip(render(g, small, time_s, shutter="global")["color"], 0, 1) for g in (own, drawn))
+            error = float(np.mean((first - second) ** 2))
+            psnr.append(-10 * np.log10(error) if error > 0 else np.inf)
             (before, opacity), (after, _) = own.at(time_s), drawn.at(time_s)
             seen = opacity >= VISIBLE
             shift = np.linalg.norm(camera.project(before[seen])[0] - camera.project(after[seen])[0], axis=-1)
             moved.append(float(np.nanmax(shift, initial=0.0)))
     speed = own.moving_gas - drawn.moving_gas
-    psnr = [-10 * np.log10(error) if error > 0 else np.inf for error in errors]
     return PackedFidelity(min(psnr), max(moved), float(np.abs(speed).max(initial=0.0)))
 
 
