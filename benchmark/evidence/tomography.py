@@ -70,7 +70,7 @@ CHOICES: dict[str, Find] = {
     "even start": partial(find_emission, rounded=False),
     "round start": find_emission,
     **{f"turned {n} times": partial(find_emission, turns=n) for n in (1, TURNS, 2 * TURNS)},
-    **{f"turned {TURNS} times, tails below {t}": partial(find_emission, turns=TURNS, tail=t) for t in (0.0, 0.1, 0.3)},
+    **{f"turned {TURNS} times, tails below {t}": partial(find_emission, turns=TURNS, tail=t) for t in (0.0, 0.15, 0.5)},
     **{f"turned {TURNS} times, {n} iterations": partial(find_emission, turns=TURNS, iterations=n) for n in (6, 24)},
 }
 

@@ -57,7 +57,7 @@ def find_emission(
 
     Args:
         intensity: (C, H, W) linear light >= 0.   mask: (C, H, W) bool.   rounded: do it again from a round flame.
-        turns: so often from the flame all around, and then without tails.   iterations: of each.   tail: see `cut_tails`.
+        turns: so often from the flame all around, then without tails.   iterations: of each.   tail: see `cut_tails`.
     Returns:
         (V,) float64 >= 0, in one unit for all frames of a clip; 0 outside the frame's hull; all 0 for an empty mask.
     """
@@ -110,7 +110,8 @@ def turn_around(voxels: FlameVoxels, emission: np.ndarray) -> np.ndarray:
     def smoothed(sums: np.ndarray) -> np.ndarray:
         return gaussian_filter(sums.reshape(size), (0, *BETWEEN)).ravel()[place]
 
-    shone, within = (smoothed(np.bincount(place, of_each, np.prod(size))) for of_each in (emission, np.ones(len(place))))
+    both = (np.bincount(place, values, np.prod(size)) for values in (emission, np.ones(len(place))))
+    shone, within = map(smoothed, both)
     mean = shone / within
     if len(voxels.forward) > 1:  # a single view's hull is no deeper than wide (`carve`)
         radius = np.arange(size[2])
@@ -191,7 +192,7 @@ def cut_tails(voxels: FlameVoxels, emission: np.ndarray, tail: float = TAIL) -> 
 
     Where all cameras look from one side, a bright pixel's light is smeared along its ray, in front of the flame and
     behind it, where hardly any other light is. Coarsely, over a few voxels around, that is a tail, below a part `tail`
-    of the brightest along the ray. A flame that two bright parts of are far apart along the rays keeps both.
+    of the brightest along the ray. Bright parts that lie far apart along the rays are all kept.
     """
     ahead = find_common_ray(voxels)
     if ahead is None:

@@ -165,10 +165,10 @@ def _is_near(voxels: FlameVoxels, light: np.ndarray) -> np.ndarray:
         return np.ones(len(light), bool)
     away = voxels.center[:, :2] - np.average(voxels.center[:, :2], axis=0, weights=light)
     ahead = find_common_ray(voxels)
-    near = np.ones(len(light), bool)
-    for direction, most in ((np.eye(2), FAR), *([] if ahead is None else [(ahead[:2, None], BEHIND)])):
-        away2 = ((away @ direction) ** 2).sum(1)
-        near &= away2 <= most**2 * np.average(away2, weights=light)
+    distances2 = [(FAR, (away**2).sum(1))]
+    if ahead is not None:
+        distances2.append((BEHIND, (away @ ahead[:2]) ** 2))
+    near = np.all([away2 <= most**2 * np.average(away2, weights=light) for most, away2 in distances2], axis=0)
     return near if light[~near].sum() < ANOTHER * light.sum() else np.ones(len(light), bool)
 
 

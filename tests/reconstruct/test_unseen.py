@@ -219,7 +219,7 @@ def test_light_far_beside_the_flame_is_none_of_it(monkeypatch):
 
 
 def test_lit_ground_behind_the_flame_is_none_of_it_and_fire_beside_it_is():
-    """A round flame, and a hundredth of its light 4.5 of its std-devs away: behind it, as its cameras look, or beside."""
+    """A round flame, and a hundredth of its light 4.5 of its std-devs away, along the cameras' rays or across."""
     cameras, deviation = arc(3), 0.1
     voxels = carve(cameras, ball(cameras, MIDDLE, 0.6)[0][None], 40)
     offset = voxels.center - MIDDLE
