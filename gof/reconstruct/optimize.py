@@ -30,7 +30,7 @@ from gof.reconstruct.windows import Windows
 from gof.render import Target, l1_ssim, render_splats
 from gof.render.adam import Adam
 from gof.render.backend import Bool, Float, UInt, floats, opaque
-from gof.render.light import to_display, to_light
+from gof.render.light import sum_light, to_display, to_light
 from gof.render.rasterizer import Frame
 
 SSIM_WEIGHT = 0.2
@@ -254,9 +254,14 @@ class Flame:
         width, height = unseen.camera.width, unseen.camera.height
         finer = unseen.camera.scaled(2 * width, 2 * height)
         flame = splats(shown, self.voxel_size, unseen.time_s - self.start_s, finer)
-        behind, emissive, near = [opaque(x) for x in plain], self.surroundings.emissive, self.voxel_size
-        drawn = render_splats(flame, finer, behind, emissive=emissive, near=near, antialias=True)
-        seen = [to_display(halve(to_light(plane), width, height)) for plane in drawn.color]
+        drawn = render_splats(flame, finer, near=self.voxel_size, antialias=True)
+        if self.surroundings.emissive:  # over black, and the plate as light: there and back takes three powers a pixel
+            light = sum_light(drawn.color, drawn.alpha, [opaque(x) for x in srgb_to_linear(plain)])
+        else:
+            pairs = zip(drawn.color, plain, strict=True)
+            light = [to_light(dr.fma(1 - drawn.alpha, opaque(behind), plane)) for plane, behind in pairs]
+        dr.eval(light)  # in one kernel: what is gathered from is evaluated plane by plane otherwise
+        seen = [to_display(halve(plane, width, height)) for plane in light]
         least, most = (over_plain(np.maximum(unseen.light + d, 0), plain) for d in (-unseen.spread, unseen.spread))
         return measure_beyond(seen, least, most)
 
@@ -361,7 +366,8 @@ def halve(plane: Float, width: int, height: int) -> Float:
     """Return the means (height * width,) of a plane's squares of two by two pixels; differentiable."""
     place = dr.arange(UInt, width * height)
     first = 4 * width * (place // width) + 2 * (place % width)
-    return sum(dr.gather(Float, plane, first + k) for k in (0, 1, 2 * width, 2 * width + 1)) / 4
+    corners = (first + k for k in (0, 1, 2 * width, 2 * width + 1))
+    return sum(dr.gather(Float, plane, corner, mode=dr.ReduceMode.NoConflicts) for corner in corners) / 4
 
 
 def over_plain(light: np.ndarray, plain: np.ndarray) -> list[Any]:
@@ -373,7 +379,8 @@ def over_plain(light: np.ndarray, plain: np.ndarray) -> list[Any]:
 def measure_beyond(seen: list[Float], least: list[Float], most: list[Float]) -> Any:
     """Mean over pixels and channels of how far values are below `least` or above `most`; a tensor of one number."""
     planes = zip(seen, least, most, strict=True)
-    return sum(dr.mean(dr.maximum(low - a, 0) + dr.maximum(a - high, 0)) for a, low, high in planes) / len(seen)
+    beyond = sum(dr.maximum(low - a, 0) + dr.maximum(a - high, 0) for a, low, high in planes)
+    return dr.mean(beyond) / len(seen)
 
 
 def _note(loss: float, held_out: str | None) -> str:

@@ -15,10 +15,15 @@ def add_light(color: list[Float], alpha: Float, background: list) -> list[Float]
     Args:
         color, background: three planes of display values each; of the background, numbers will do.
     """
+    behind = [to_light(Float(b)) for b in background]
+    return [to_display(light) for light in sum_light(color, alpha, behind)]
+
+
+def sum_light(color: list[Float], alpha: Float, behind: list) -> list[Float]:
+    """Return three planes of linear light of emissive Gaussians over linear light `behind`; args as `add_light`."""
     brightest = dr.maximum(dr.maximum(color[0], color[1]), color[2])
     through = 1 - dr.maximum(alpha - brightest, 0)
-    behind = [Float(b) for b in background]
-    return [to_display(to_light(b) * through + to_light(c)) for c, b in zip(color, behind, strict=True)]
+    return [b * through + to_light(c) for c, b in zip(color, behind, strict=True)]
 
 
 def to_light(display: Float) -> Float:

@@ -7,10 +7,11 @@ import numpy as np
 import pytest
 
 from gof.core.colour import add_light as add_light_plainly
+from gof.core.colour import srgb_to_linear
 from gof.core.errors import DataFormatError
 from gof.render import Splats, render, render_splats
 from gof.render.backend import floats
-from gof.render.light import add_light
+from gof.render.light import add_light, sum_light
 from gof.render.rasterizer import splats_at
 from tests.conftest import random_gaussians
 from tests.render.scenes import camera
@@ -48,6 +49,12 @@ def test_is_its_twin():
     color, alpha, background = some()
     drawn = numbers(add_light(planes(color), floats(alpha), planes(background)))
     np.testing.assert_allclose(drawn, add_light_plainly(color, alpha, background), atol=2e-6)
+
+
+def test_summed_light_is_what_display_values_show():
+    color, alpha, background = some()
+    light = numbers(sum_light(planes(color), floats(alpha), planes(srgb_to_linear(background))))
+    np.testing.assert_allclose(light, srgb_to_linear(add_light_plainly(color, alpha, background)), atol=1e-5)
 
 
 def test_gradient_equals_central_differences():
