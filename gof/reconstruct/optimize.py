@@ -43,6 +43,7 @@ UNSEEN_EVERY = 2  # steps; as good as in each, for a fifth less time
 BLUNT_EVERY = 250  # steps; of these, CHECKPOINT_EVERY is a multiple, so that a resumed run is the same
 RECOLOR_EVERY, PULL = 25, 0.3  # steps, likewise; share of a colour's way to the palette
 FREE = 1 / 8  # of the steps, the last ones, without, unless `Palette.held`: own pictures gain half of what it costs
+LEAST_STEP = 1e-12  # of thickness, between two levels
 EVALUATE_AT = (250, 500, 1000, 2000, 4000, 7000, 15_000, 30_000)  # and at the last step; the paper's are 1k, 7k, 30k
 
 
@@ -262,7 +263,10 @@ class Flame:
             light = [to_light(dr.fma(1 - drawn.alpha, opaque(behind), plane)) for plane, behind in pairs]
         dr.eval(light)  # in one kernel: what is gathered from is evaluated plane by plane otherwise
         seen = [to_display(halve(plane, width, height)) for plane in light]
-        least, most = (over_plain(np.maximum(unseen.light + d, 0), plain) for d in (-unseen.spread, unseen.spread))
+        values = look_up(floats(unseen.thickness), unseen.levels, unseen.curves)
+        pairs = list(zip(values[:3], values[3:], strict=True))
+        least = over_plain([dr.maximum(light - spread, 0) for light, spread in pairs], plain)
+        most = over_plain([light + spread for light, spread in pairs], plain)
         return measure_beyond(seen, least, most)
 
     def _time_s(self, f: int, c: int) -> float:
@@ -370,9 +374,20 @@ def halve(plane: Float, width: int, height: int) -> Float:
     return sum(dr.gather(Float, plane, corner, mode=dr.ReduceMode.NoConflicts) for corner in corners) / 4
 
 
-def over_plain(light: np.ndarray, plain: np.ndarray) -> list[Any]:
-    """Return a flame's light (3, N), linear, over an even plate (3,) of display values: planes of display values."""
-    pairs: Any = zip(map(floats, light), map(opaque, srgb_to_linear(plain)), strict=True)
+def look_up(x: Float, levels: np.ndarray, curves: np.ndarray) -> list[Float]:
+    """Return the values of K curves (L, K) at x, linear between levels (L,), L > 1, and even beyond: `np.interp`."""
+    steps, last = floats(levels), len(levels) - 1
+    next_one = dr.binary_search(0, last, lambda k: dr.gather(Float, steps, k) <= x)
+    k = dr.maximum(next_one, 1) - 1
+    low, high = dr.gather(Float, steps, k), dr.gather(Float, steps, k + 1)
+    share = dr.clip((x - low) / dr.maximum(high - low, LEAST_STEP), 0, 1)
+    columns = [floats(curve) for curve in curves.T]
+    return [dr.lerp(dr.gather(Float, c, k), dr.gather(Float, c, k + 1), share) for c in columns]
+
+
+def over_plain(light: list[Float], plain: np.ndarray) -> list[Any]:
+    """Return a flame's light, three planes, linear, over an even plate (3,) of display values: planes of those."""
+    pairs: Any = zip(light, map(opaque, srgb_to_linear(plain)), strict=True)
     return [to_display(dr.minimum(added + behind, 1)) for added, behind in pairs]
 
 

@@ -38,13 +38,26 @@ THIN, SURE = 0.1, 0.5  # of the usual thickness: below the first it tells nothin
 
 
 class UnseenView(NamedTuple):
-    """One view. time_s: on the dataset clock.   light, spread: (3, h * w) float32 linear light over black, and how far
-    it may be off."""
+    """One view. time_s: on the dataset clock.   thickness: (h * w,) float32.   levels, curves: see `UnseenViews`."""
 
     camera: Camera
     time_s: float
-    light: np.ndarray
-    spread: np.ndarray
+    thickness: np.ndarray
+    levels: np.ndarray
+    curves: np.ndarray
+
+    @property
+    def light(self) -> np.ndarray:
+        """(3, h * w) float32 linear light over black."""
+        return self._looked_up(self.curves[:, :3])
+
+    @property
+    def spread(self) -> np.ndarray:
+        """(3, h * w) float32: how far the light may be off."""
+        return self._looked_up(self.curves[:, 3:])
+
+    def _looked_up(self, curves: np.ndarray) -> np.ndarray:
+        return np.stack([np.interp(self.thickness, self.levels, curve) for curve in curves.T]).astype(np.float32)
 
 
 @dataclass(frozen=True)
@@ -56,8 +69,8 @@ class UnseenViews:
         frames: (F,) which of the observation's frames, ascending; only those that every camera took.
         time_s: (F,) of these, on the dataset clock.
         thickness: (F, V, h, w) float16 >= 0, of flame along each pixel's ray, in a unit of the clip's own.
-        levels: (L,) ascending thicknesses.   light, spread: (L, 3) linear light of each, and the median difference of
-            the clip's own pictures from it.
+        levels: (L,) ascending thicknesses.   curves: (L, 6) linear light of each, three channels, and the median
+            difference of the clip's own pictures from it.
     """
 
     cameras: list[Camera]
@@ -65,17 +78,12 @@ class UnseenViews:
     time_s: np.ndarray
     thickness: np.ndarray
     levels: np.ndarray
-    light: np.ndarray
-    spread: np.ndarray
+    curves: np.ndarray
 
     def view(self, frame: int, camera: int) -> UnseenView:
         """Return the view of a frame from a row of `cameras`."""
         thickness = self.thickness[frame, camera].astype(np.float32).ravel()
-        light, spread = (
-            np.stack([np.interp(thickness, self.levels, curve) for curve in curves.T]).astype(np.float32)
-            for curves in (self.light, self.spread)
-        )
-        return UnseenView(self.cameras[camera], float(self.time_s[frame]), light, spread)
+        return UnseenView(self.cameras[camera], float(self.time_s[frame]), thickness, self.levels, self.curves)
 
     def choose(self, frame: int, rng: np.random.Generator) -> UnseenView | None:
         """One of a frame of the observation by chance; None where it has none."""
@@ -183,10 +191,11 @@ def imagine_views(
     if not len(frames):
         return None
     shining = light.emission[frames].T
-    curves = _light_by_thickness(voxels, shining, observation, frames)
+    levels, light, spread = _light_by_thickness(voxels, shining, observation, frames)
     cameras = cameras or cameras_around(voxels, observation.cameras)
     thickness = np.stack([_thickness(voxels, shining, camera) for camera in cameras], 1)
-    return UnseenViews(cameras, frames, observation.time_s[frames], thickness.astype(np.float16), *curves)
+    curves = np.concatenate([light, spread], 1)
+    return UnseenViews(cameras, frames, observation.time_s[frames], thickness.astype(np.float16), levels, curves)
 
 
 def unsaturated_light(observation: Observation) -> np.ndarray:

@@ -9,12 +9,12 @@ import pytest
 
 from gof.reconstruct import unseen
 from gof.reconstruct.observation import Observation
-from gof.reconstruct.optimize import halve, measure_beyond, over_plain
+from gof.reconstruct.optimize import halve, look_up, measure_beyond, over_plain
 from gof.reconstruct.parameters import from_raw, splats, to_raw
 from gof.reconstruct.unseen import OFTEN, cameras_around, find_flame_emission, imagine_views, unsaturated_light
 from gof.reconstruct.voxels import carve
 from gof.render import render_splats
-from gof.render.backend import Float, opaque
+from gof.render.backend import Float, floats, opaque
 from tests.conftest import arc, look_at
 from tests.reconstruct.test_surroundings import CAMERA, cloud
 from tests.reconstruct.test_voxels import ball
@@ -267,10 +267,23 @@ def test_frames_that_a_camera_did_not_take_are_left_out():
 def test_fire_adds_light_to_a_plain_plate():
     plain, light = np.array([0.3, 0.2, 0.1]), np.array([[0.3], [0.1], [0.0]], np.float32)
     behind = ((plain + 0.055) / 1.055) ** 2.4
-    drawn = [p.numpy()[0] for p in over_plain(light, plain)]
+    drawn = [p.numpy()[0] for p in over_plain([floats(plane) for plane in light], plain)]
     np.testing.assert_allclose(drawn, shown(behind + light[:, 0]), atol=1e-5)
-    white = [p.numpy()[0] for p in over_plain(light + 3, plain)]
+    white = [p.numpy()[0] for p in over_plain([floats(plane + 3) for plane in light], plain)]
     np.testing.assert_allclose(white, 1, atol=1e-6)  # a screen shows no more
+
+
+@pytest.mark.parametrize("count", [2, 3, 17, 48])
+def test_curves_are_looked_up_as_numpy_does(count):
+    """Below the first level and beyond the last they are even; equal levels divide by nothing."""
+    rng = np.random.default_rng(count)
+    levels = np.sort(rng.uniform(0.1, 5, count))
+    levels[-2:] = levels[-1] if count > 3 else levels[-2:]
+    curves = rng.random((count, 6))
+    x = np.concatenate([[0, 100], levels[:-2], rng.uniform(0, 6, 300)]).astype(np.float32)
+    found = np.stack([plane.numpy() for plane in look_up(floats(x), levels, curves)], -1)
+    expected = np.stack([np.interp(x, levels.astype(np.float32), curve) for curve in curves.T], -1)
+    np.testing.assert_allclose(found, expected, atol=2e-5)
 
 
 def test_finer_pixels_are_averaged():
