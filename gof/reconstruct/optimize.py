@@ -257,16 +257,16 @@ class Flame:
         flame = splats(shown, self.voxel_size, unseen.time_s - self.start_s, finer)
         drawn = render_splats(flame, finer, near=self.voxel_size, antialias=True)
         if self.surroundings.emissive:  # over black, and the plate as light: there and back takes three powers a pixel
-            light = sum_light(drawn.color, drawn.alpha, [opaque(x) for x in srgb_to_linear(plain)])
+            fine = sum_light(drawn.color, drawn.alpha, [opaque(x) for x in srgb_to_linear(plain)])
         else:
             pairs = zip(drawn.color, plain, strict=True)
-            light = [to_light(dr.fma(1 - drawn.alpha, opaque(behind), plane)) for plane, behind in pairs]
-        dr.eval(light)  # in one kernel: what is gathered from is evaluated plane by plane otherwise
-        seen = [to_display(halve(plane, width, height)) for plane in light]
+            fine = [to_light(dr.fma(1 - drawn.alpha, opaque(behind), plane)) for plane, behind in pairs]
+        dr.eval(fine)  # in one kernel: what is gathered from is evaluated plane by plane otherwise
+        seen = [to_display(halve(plane, width, height)) for plane in fine]
         values = look_up(floats(unseen.thickness), unseen.levels, unseen.curves)
-        pairs = list(zip(values[:3], values[3:], strict=True))
-        least = over_plain([dr.maximum(light - spread, 0) for light, spread in pairs], plain)
-        most = over_plain([light + spread for light, spread in pairs], plain)
+        wanted = list(zip(values[:3], values[3:], strict=True))
+        least = over_plain([dr.maximum(light - spread, 0) for light, spread in wanted], plain)
+        most = over_plain([light + spread for light, spread in wanted], plain)
         return measure_beyond(seen, least, most)
 
     def _time_s(self, f: int, c: int) -> float:

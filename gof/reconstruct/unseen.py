@@ -191,10 +191,10 @@ def imagine_views(
     if not len(frames):
         return None
     shining = light.emission[frames].T
-    levels, light, spread = _light_by_thickness(voxels, shining, observation, frames)
+    levels, usual, spread = _light_by_thickness(voxels, shining, observation, frames)
     cameras = cameras or cameras_around(voxels, observation.cameras)
     thickness = np.stack([_thickness(voxels, shining, camera) for camera in cameras], 1)
-    curves = np.concatenate([light, spread], 1)
+    curves = np.concatenate([usual, spread], 1)
     return UnseenViews(cameras, frames, observation.time_s[frames], thickness.astype(np.float16), levels, curves)
 
 
