@@ -74,7 +74,7 @@ def find_emission(
     if turns and emission.any():
         for _ in range(turns):
             emission = _maximise(turn_around(part, emission), views, iterations)
-        emission = _maximise(cut_tails(part, emission, tail), views, iterations)
+        emission = _maximise(cut_tails(part, emission, views, tail), views, iterations)
     found[hull] = emission
     return found
 
@@ -172,7 +172,11 @@ def round_flame(voxels: FlameVoxels, emission: np.ndarray) -> np.ndarray:
         return np.ones(len(emission))
     from scipy.ndimage import gaussian_filter  # here: it takes long to load
 
-    column, shape = _columns_along(voxels, ahead)
+    right = np.cross(ahead, UP) / np.hypot(*ahead[:2])
+    place = voxels.center @ np.stack([right, np.cross(right, ahead)], -1) / voxels.voxel_size
+    across, up = np.round(place - place.min(0)).astype(np.int64).T
+    shape = across.max() + 1, up.max() + 1
+    column = across * shape[1] + up
     depth = voxels.center @ ahead
 
     def look(values: np.ndarray) -> np.ndarray:
@@ -187,34 +191,26 @@ def round_flame(voxels: FlameVoxels, emission: np.ndarray) -> np.ndarray:
     return np.exp(-0.5 * np.minimum(away2, FAINTEST))
 
 
-def cut_tails(voxels: FlameVoxels, emission: np.ndarray, tail: float = TAIL) -> np.ndarray:
-    """Return the emission (V,) without the dim tails of its rays, 0 there.
+def cut_tails(voxels: FlameVoxels, emission: np.ndarray, views: list[_PooledView], tail: float = TAIL) -> np.ndarray:
+    """Return the emission (V,) without the dim tails of rays, 0 there.
 
-    Where all cameras look from one side, a bright pixel's light is smeared along its ray, in front of the flame and
-    behind it, where hardly any other light is. Coarsely, over a few voxels around, that is a tail, below a part `tail`
-    of the brightest along the ray. Bright parts that lie far apart along the rays are all kept.
+    A bright pixel's light is smeared along its ray, in front of the flame and behind it, where hardly any other light
+    is. Coarsely, over a few voxels around, that is a tail: in every view that has it, below a part `tail` of the
+    brightest along the ray. A dim flame behind a bright one stays, where any view looks past the bright one.
     """
-    ahead = find_common_ray(voxels)
-    if ahead is None:
-        return emission
     from scipy.ndimage import gaussian_filter  # here: it takes long to load
 
     cells = tuple((voxels.index - voxels.index.min(0)).T)
     dense = np.zeros([cell.max() + 1 for cell in cells], np.float32)
     dense[cells] = emission / max(emission.max(), DARK)
     coarse = gaussian_filter(dense, AROUND, mode="constant")[cells]
-    column, shape = _columns_along(voxels, ahead)
-    brightest = np.zeros(shape[0] * shape[1], np.float32)
-    np.maximum.at(brightest, column, coarse)
-    return np.where(coarse > tail * brightest[column], emission, 0)
-
-
-def _columns_along(voxels: FlameVoxels, ahead: np.ndarray) -> tuple[np.ndarray, tuple[int, int]]:
-    """Return the column (V,) int along a direction (3,), not upright, that each voxel is in, of (A, U): across, up."""
-    right = np.cross(ahead, UP) / np.hypot(*ahead[:2])
-    place = voxels.center @ np.stack([right, np.cross(right, ahead)], -1) / voxels.voxel_size
-    across, up = np.round(place - place.min(0)).astype(np.int64).T
-    return across * (up.max() + 1) + up, (int(across.max()) + 1, int(up.max()) + 1)
+    bright = np.zeros(len(coarse), bool)
+    for share, _ in views:
+        (seen,) = np.nonzero(np.diff(share.indptr))
+        brightest = np.zeros(share.shape[0])
+        brightest[seen] = np.maximum.reduceat(coarse[share.indices], share.indptr[seen]) if len(seen) else 0
+        bright |= share.sum(axis=0).A1 * coarse > tail * (share.T @ brightest)
+    return np.where(bright, emission, 0)
 
 
 def find_common_ray(voxels: FlameVoxels) -> np.ndarray | None:

@@ -9,8 +9,10 @@ import pytest
 from gof.core.errors import DataFormatError
 from gof.reconstruct import tomography as tomography_module
 from gof.reconstruct.tomography import (
+    TAIL,
     TURNS,
     _inner_radius,
+    _pool_view,
     cut_tails,
     find_emission,
     round_flame,
@@ -327,10 +329,17 @@ def test_a_flame_that_is_seen_to_be_deep_stays_deep():
     assert 1.6 < depth / width < 2.1
 
 
+def pooled_views(voxels, pictures):
+    everywhere = np.ones(len(voxels.center), bool)
+    return [_pool_view(voxels, c, picture, everywhere) for c, picture in enumerate(pictures)]
+
+
 def test_dim_tails_along_the_rays_are_cut_and_balls_are_kept():
     """A ball whose middle is smeared along its ray, at a twentieth of its light; and two balls behind each other."""
     cameras, middle = arc(3), np.array([0.05, -0.1, 1.0])
-    voxels = carve(cameras, ball(cameras, middle, 0.6)[0][None], 96)
+    masks, lengths = ball(cameras, middle, 0.6)
+    voxels = carve(cameras, masks[None], 96)
+    views = pooled_views(voxels, lengths)
     offset = voxels.center - middle
     along = offset @ cameras[1].world_to_camera[2, :3]
     beside = np.sqrt(np.maximum((offset**2).sum(1) - along**2, 0))
@@ -338,14 +347,28 @@ def test_dim_tails_along_the_rays_are_cut_and_balls_are_kept():
     tail = (beside < 0.04) & ~near & (np.abs(along) > 0.4)
     assert tail.sum() > 20 and near.sum() > 1000, "otherwise the test says nothing"
     smeared = near + 0.05 * (beside < 0.04)
-    cut = cut_tails(voxels, smeared)
+    cut = cut_tails(voxels, smeared, views[1:2])
     assert not cut[tail].any() and (cut[near] == smeared[near]).all()
     both = (near | far) * 1.0
-    assert (cut_tails(voxels, both) == both).all(), "far apart along the rays, and as bright"
-    assert (cut_tails(voxels, 0 * both) == 0).all(), "no light, no brightest part of it"
-    quarter = voxels.jacobian[1] @ np.array([[0.0, 1, 0], [-1, 0, 0], [0, 0, 1]])
-    everywhere = replace(voxels, jacobian=np.stack([quarter, voxels.jacobian[1]]))
-    assert (cut_tails(everywhere, smeared) == smeared).all(), "seen from all around, a tail is one"
+    assert (cut_tails(voxels, both, views) == both).all(), "far apart along the rays, and as bright"
+    assert (cut_tails(voxels, 0 * both, views) == 0).all(), "no light, no brightest part of it"
+
+
+@pytest.mark.parametrize("dim", [0.15, 0.3, 1.0])
+def test_a_dim_flame_behind_a_bright_one_is_kept(dim):
+    """Two balls behind each other, as the middle camera sees them; those beside it see both. By exact path lengths."""
+    middle, gap, radius = np.array([0.0, 0.0, 1.0]), 0.6, 0.12
+    cameras = []
+    for k, angle in enumerate(np.deg2rad([-35, 0, 35])):
+        cameras.append(look_at(f"cam_{k}", middle + 3 * np.array([np.sin(angle), -np.cos(angle), 0]), middle))
+    ahead = cameras[1].world_to_camera[2, :3]
+    places = middle - gap / 2 * ahead, middle + gap / 2 * ahead
+    lengths = sum(light * ball(cameras, place, radius)[1] for light, place in zip((1, dim), places, strict=True))
+    voxels = carve(cameras, (lengths > 0)[None], 72)
+    uncut, cut = (find_emission(voxels, lengths, lengths > 0, turns=TURNS, tail=tail) for tail in (0.0, TAIL))
+    assert cut.sum() == pytest.approx(uncut.sum(), rel=1e-3), "no light is lost"
+    far = np.linalg.norm(voxels.center - places[1], axis=1) < radius + voxels.voxel_size
+    assert cut[far].sum() / cut.sum() > 0.75 * dim / (1 + dim)
 
 
 def test_light_in_a_single_voxel_is_turned_without_a_hole():
