@@ -134,8 +134,8 @@ class RandomTraining:
             dr.sync_thread()
             return p
 
-        p = projected()
-        shapes = bins.footprints(p, self.camera.width, self.camera.height)
+        p, canvas = projected(), bins.Canvas(self.camera.width, self.camera.height)
+        shapes = bins.footprints(p, canvas)
         band = bins.bin_band(shapes, 0, shapes.rows)
         records = pack([p.mean_x, p.mean_y, p.a, p.b, p.c, p.log2_opacity, *dr.detach(list(s.color))], blend.stride(9))
         planes = [dr.empty(Float, shapes.rows * shapes.columns * 16) for _ in range(4)]
@@ -161,7 +161,7 @@ class RandomTraining:
 
         return {
             "project": best(projected, repeats),
-            "sort by depth, ellipses": run(lambda: bins.footprints(p, self.camera.width, self.camera.height)),
+            "sort by depth, ellipses": run(lambda: bins.footprints(p, canvas)),
             "pairs, sort by block": run(lambda: bins.bin_band(shapes, 0, shapes.rows).lists),
             "blend forward": run(lambda: blend._forward(*forward)),
             "L1 + SSIM, both ways": run(loss),

@@ -172,7 +172,7 @@ def score_around(case: TomographyCase, emission: np.ndarray) -> float:
     decibels = []
     for frame, camera, picture, plate, mask in case.seen:
         (row,) = np.flatnonzero(views.frames == frame)
-        drawn = plate + views.view(row, camera).light.T
+        drawn = plate + views.view([row], camera).light.T
         drawn, picture = (linear_to_srgb(np.clip(x, 0, 1))[None, mask] for x in (drawn, picture))
         decibels.append(psnr(drawn, picture))
     return float(np.mean(decibels))

@@ -87,7 +87,8 @@ def measure(seeds, observation, windows, surroundings, schedule, units, steps: i
     """Return milliseconds of each step by way: of CPU time on one thread, then by the clock on all; see `optimize`."""
     import drjit as dr
 
-    from gof.reconstruct.optimize import Flame, TrainingPictures, take_step
+    from gof.reconstruct.batches import TrainingPictures
+    from gof.reconstruct.optimize import Flame, Shown, take_step
 
     flames = {way: Flame(seeds, observation, windows, surroundings, schedule, units) for way in WAYS}
     pictures = {way: TrainingPictures(observation, windows) for way in WAYS}  # each ready for its own kernels
@@ -98,16 +99,16 @@ def measure(seeds, observation, windows, surroundings, schedule, units, steps: i
         with ExitStack() as stack:
             stack.enter_context(drawn_by(kernels))
             if not leaves_out:
-                stack.enter_context(patch.object(Flame, "shown", lambda flame, *_: flame.optimizer))
+                stack.enter_context(patch.object(Flame, "shown", lambda flame, *_: Shown(flame.optimizer, None)))
             take_step(number, flames[way], pictures[way], schedule, units)
             dr.sync_thread()
 
     shown = Flame.shown
 
     def counted(flame: Flame, *view) -> Any:
-        raw = shown(flame, *view)
-        drawn.append(dr.width(raw["t_mu"]))
-        return raw
+        found = shown(flame, *view)
+        drawn.append(dr.width(found.raw["t_mu"]))
+        return found
 
     figures: dict[str, Any] = {"gaussians": len(seeds), "pixels": [windows.width, windows.height]}
     threads, number = dr.thread_count(), 0

@@ -1,15 +1,15 @@
 """Optimising transient flame Gaussians against the training pictures, in their surroundings, with Dr.Jit.
 
 Loss (paper): 0.8 L1 + 0.2 (1 - SSIM) + 0.1 mean(A_dyn (1 - M)), one random training picture a step; ours adds the mean
-squared difference (`Method.square_loss`). Every picture is drawn at its own camera's time, and line by line when that
-camera has a rolling shutter.
+squared difference (`Method.square_loss`), and takes as many pictures at once as share no Gaussian (`batches`). Every
+picture is drawn at its own camera's time, and line by line when that camera has a rolling shutter.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any, NamedTuple, Protocol
 
 import drjit as dr
 import numpy as np
@@ -17,6 +17,7 @@ import numpy as np
 from gof.core.colour import srgb_to_linear
 from gof.core.errors import NonFiniteError
 from gof.core.gaussians import TransientGaussians
+from gof.reconstruct.batches import Batch, TrainingPictures, count_together, sort_by_picture
 from gof.reconstruct.checkpoint import Spent, load_checkpoint, save_checkpoint
 from gof.reconstruct.density import DensityControl
 from gof.reconstruct.methods import LAST_SHARE, LONGEST_HELD, Rates, cameras_extent
@@ -27,21 +28,21 @@ from gof.reconstruct.parameters import Raw, alight, from_raw, per_gaussian, reco
 from gof.reconstruct.surroundings import DrawnView, Surroundings
 from gof.reconstruct.unseen import UnseenView, UnseenViews
 from gof.reconstruct.windows import Windows
-from gof.render import Target, l1_ssim, render_splats
+from gof.render import l1_ssim, render_splats
 from gof.render.adam import Adam
-from gof.render.backend import Bool, Float, UInt, floats, opaque
+from gof.render.backend import Float, UInt, floats, opaque, whole_numbers
 from gof.render.light import sum_light, to_display, to_light
 from gof.render.rasterizer import Frame
+from gof.render.scene import Stack
 
 SSIM_WEIGHT = 0.2
 STEEPEST = 0.25  # slope of a colour by its logit, at middle grey
 PLAIN_PLATES = 0.05, 0.35  # display values of the plates behind unseen views
-WHITE = 0.8  # display value from which light beyond white may be behind it: pictures are compressed and shrunk
-CHECK_EVERY = 50  # steps between looks at the loss (a synchronisation) and at NaN
+CHECK_EVERY = 50  # steps, of a picture each, between looks at the loss (a synchronisation) and at NaN
 CHECKPOINT_EVERY = 500
-UNSEEN_EVERY = 2  # steps; as good as in each, for a fifth less time
-BLUNT_EVERY = 250  # steps; of these, CHECKPOINT_EVERY is a multiple, so that a resumed run is the same
-RECOLOR_EVERY, PULL = 25, 0.3  # steps, likewise; share of a colour's way to the palette
+UNSEEN_EVERY = 2  # batches; as good as in each, for a fifth less time
+BLUNT_EVERY = 250  # steps
+RECOLOR_EVERY, PULL = 25, 0.3  # steps; share of a colour's way to the palette
 FREE = 1 / 8  # of the steps, the last ones, without, unless `Palette.held`: own pictures gain half of what it costs
 LEAST_STEP = 1e-12  # of thickness, between two levels
 EVALUATE_AT = (250, 500, 1000, 2000, 4000, 7000, 15_000, 30_000)  # and at the last step; the paper's are 1k, 7k, 30k
@@ -49,12 +50,12 @@ EVALUATE_AT = (250, 500, 1000, 2000, 4000, 7000, 15_000, 30_000)  # and at the l
 
 @dataclass(frozen=True)
 class Schedule:
-    """Step counts, learning rates and loss weights.
+    """Step counts, learning rates and loss weights. A step is one picture's; a batch's count one each.
 
     Attributes:
         square_loss: of the mean squared difference of pictures.
         alpha_loss: of flame where no flame may be.
-        unseen: of views from where no camera stood (`gof.reconstruct.unseen`), in every `UNSEEN_EVERY`-th step.
+        unseen: of views from where no camera stood (`gof.reconstruct.unseen`), in every `UNSEEN_EVERY`-th batch.
         plate_loss: of a plate's change. L1 moves a channel of its pixel by 0.8 of what of it shows through the flame,
             so the pixel may leave the plate that was made by 0.4 of that: far where it is seen, hardly where opaque
             flame always covers it and nothing but noise would move it.
@@ -143,48 +144,65 @@ def optimize(
     Raises:
         NonFiniteError: the loss or a parameter became NaN or Inf; names the parameter and the step.
     """
-    flame = Flame(seeds, observation, windows, surroundings, schedule, units)
-    pictures = TrainingPictures(observation, windows, unseen)
-    start = load_checkpoint(checkpoint, flame.optimizer, resized=schedule.density_control)
-    mean_loss = None
-    held_out = None
-    monitor.progress(start, schedule.iterations, note="")  # the time left is counted from here
-    for step in range(start, schedule.iterations):
-        loss = take_step(step, flame, pictures, schedule, units)
-        done = step + 1
-        last = done == schedule.iterations
-        if done in EVALUATE_AT or last:
-            _require_finite(float(loss.array[0]), flame.optimizer, step)
+    pixels = windows.width * windows.height
+    together = 1 if schedule.density_control else count_together(seeds.t_sigma, observation.time_s, pixels)
+    flame = Flame(seeds, observation, windows, surroundings, schedule, units, together)
+    pictures = TrainingPictures(observation, windows, unseen, together)
+    done = load_checkpoint(checkpoint, flame.optimizer, resized=schedule.density_control)
+    total, mean_loss, held_out = schedule.iterations, None, None
+    monitor.progress(done, total, note="")  # the time left is counted from here
+    while done < total:
+        before, (loss, taken) = done, take_step(done, flame, pictures, schedule, units)
+        done += taken
+        last = done == total
+        if last or any(before < step <= done for step in EVALUATE_AT):
+            _require_finite(float(loss.array[0]), flame.optimizer, before)
             held_out = monitor.evaluate(done, *flame.state())
-        if done % CHECK_EVERY == 0 or last:
+        if last or is_due(CHECK_EVERY, before, done):
             value = float(loss.array[0])
-            _require_finite(value, flame.optimizer, step)
+            _require_finite(value, flame.optimizer, before)
             mean_loss = value if mean_loss is None else 0.8 * mean_loss + 0.2 * value
-            monitor.progress(done, schedule.iterations, note=_note(mean_loss, held_out))
-        if done % CHECKPOINT_EVERY == 0:
+            monitor.progress(done, total, note=_note(mean_loss, held_out))
+        if is_due(CHECKPOINT_EVERY, before, done):
             save_checkpoint(checkpoint, flame.optimizer, done, monitor.spent())
     return flame.state()
 
 
-def take_step(step: int, flame: Flame, pictures: TrainingPictures, schedule: Schedule, units: Units) -> Any:
-    """Draw a picture, and move what it shows against the loss, which is returned: a Dr.Jit tensor of one number."""
-    f, c = pictures.drawn(schedule.seed, step)
-    flame.optimizer.set_learning_rate(schedule.raw_rates(units, step))
-    rng = np.random.default_rng((schedule.seed, step, 1))
-    also = pictures.unseen is not None and schedule.unseen > 0 and step % UNSEEN_EVERY == 0
-    unseen = pictures.unseen.choose(f, rng) if pictures.unseen and also else None
-    shown = flame.shown(f, c, unseen)
-    drawn = flame.drawn(shown, f, c)
-    loss = _loss(drawn, pictures, f, c, schedule, clipped=flame.surroundings.emissive)
+def is_due(every: int, before: int, done: int) -> bool:
+    """Whether steps from `before` to `done` reach or pass a multiple of `every`."""
+    return done // every > before // every
+
+
+def take_step(done: int, flame: Flame, pictures: TrainingPictures, schedule: Schedule, units: Units) -> tuple[Any, int]:
+    """Draw the next batch after so many pictures, and move what it shows against the loss.
+
+    Returns:
+        the loss, a Dr.Jit tensor of one number, and the count of pictures.
+    """
+    batch = pictures.choose(schedule.seed, done, schedule.iterations - done)
+    flame.optimizer.set_learning_rate(schedule.raw_rates(units, done))
+    rng = np.random.default_rng((schedule.seed, done, 1))
+    also = pictures.unseen is not None and schedule.unseen > 0 and batch.number % UNSEEN_EVERY == 0
+    unseen = pictures.unseen.choose(batch.frames, rng) if pictures.unseen and also else None
+    shown = flame.shown(batch, unseen)
+    drawn = flame.drawn(shown, batch)
+    loss = _loss(drawn, pictures, batch, schedule, clipped=flame.surroundings.emissive)
     if unseen is not None:
         loss += schedule.unseen * flame.loss_unseen(shown, unseen, rng.uniform(*PLAIN_PLATES, 3))
-    loss += schedule.plate_loss * flame.surroundings.moved(c, flame.optimizer)
+    loss += schedule.plate_loss * flame.surroundings.moved(batch.c, flame.optimizer)
     dr.backward(loss)
-    flame.watch(step, drawn.frame, c)
+    flame.watch(done, drawn.frame, batch.c)
     flame.optimizer.step()
-    flame.change(step)
+    flame.change(done, done + len(batch.frames))
     dr.eval(list(flame.optimizer.values()))
-    return loss
+    return loss, len(batch.frames)
+
+
+class Shown(NamedTuple):
+    """The Gaussians that a batch draws: raw parameters, and the picture of each; None where it is one."""
+
+    raw: Raw
+    stack: Stack | None
 
 
 class Flame:
@@ -198,7 +216,9 @@ class Flame:
         surroundings: Surroundings,
         schedule: Schedule,
         units: Units,
+        together: int = 1,
     ):
+        """together: pictures of a batch, at most."""
         self.cameras = windows.cameras(observation.cameras)
         self.read_s = observation.camera_time_s + windows.read_later_s(observation.cameras)[:, None]
         self.surroundings = surroundings
@@ -214,7 +234,7 @@ class Flame:
         self.start_s = float(self.read_s.min())
         plates = surroundings.unknowns()
         raw = to_raw(seeds, self.voxel_size, self.start_s, schedule.color_of_light) | plates
-        rates = schedule.raw_rates(units) | dict.fromkeys(plates, schedule.rates.plate)
+        rates = schedule.raw_rates(units) | dict.fromkeys(plates, together * schedule.rates.plate)
         # The loss is a mean over pixels, so gradients are tiny: epsilon must not be what sets the step.
         betas = {"beta_1": schedule.rates.beta_1, "beta_2": schedule.rates.beta_2}
         self.optimizer = Adam(lr=1.0, params=raw, epsilon=1e-15, mask_updates=True, **betas)
@@ -229,23 +249,26 @@ class Flame:
             else None
         )
 
-    def shown(self, f: int, c: int, unseen: UnseenView | None) -> Raw:
-        """Return raw parameters of those that a step's views can see; the others stay as they are in this step."""
+    def shown(self, batch: Batch, unseen: UnseenView | None) -> Shown:
+        """Return those that a step's views can see; the others stay as they are in this step."""
         if self._density is not None:  # it counts in how many pictures a Gaussian is, alight or not
-            return self.optimizer
-        views = [(self._time_s(f, c), self.cameras[c])]
+            return Shown(self.optimizer, None)
+        times_s = self._times_s(batch)
+        seen = alight(self.optimizer, self.voxel_size, times_s, self.cameras[batch.c])
         if unseen is not None:
-            views.append((unseen.time_s - self.start_s, unseen.camera))
-        rows = [alight(self.optimizer, self.voxel_size, time_s, camera) for time_s, camera in views]
-        return self.optimizer.only(per_gaussian(self.optimizer), united(rows, dr.width(self.optimizer["t_mu"])))
+            seen |= alight(self.optimizer, self.voxel_size, unseen.time_s - self.start_s, unseen.camera)
+        rows, again, picture = sort_by_picture(seen)
+        raw = self.optimizer.only(per_gaussian(self.optimizer), rows, again)
+        return Shown(raw, Stack(len(seen), whole_numbers(picture)) if len(seen) > 1 else None)
 
-    def drawn(self, shown: Raw, f: int, c: int) -> DrawnView:
-        """Camera c's view of frame f; differentiable."""
-        seen = splats(shown, self.voxel_size, self._time_s(f, c), self.cameras[c])
+    def drawn(self, shown: Shown, batch: Batch) -> DrawnView:
+        """Draw a camera's views of a batch's frames; differentiable."""
+        camera = self.cameras[batch.c]
+        seen = splats(shown.raw, self.voxel_size, when(self._times_s(batch), shown.stack), camera)
         # Nearer than a voxel is no place for a flame Gaussian; the limit follows the unit of length.
-        return self.surroundings.draw(seen, c, self.voxel_size, self.optimizer)
+        return self.surroundings.draw(seen, batch.c, self.voxel_size, self.optimizer, shown.stack)
 
-    def loss_unseen(self, shown: Raw, unseen: UnseenView, plain: np.ndarray) -> Any:
+    def loss_unseen(self, shown: Shown, unseen: UnseenView, plain: np.ndarray) -> Any:
         """Mean distance of a view from where no camera stood to the light that it may have there, in display values
         over an even plate of display values (3,).
 
@@ -254,37 +277,37 @@ class Flame:
         """
         width, height = unseen.camera.width, unseen.camera.height
         finer = unseen.camera.scaled(2 * width, 2 * height)
-        flame = splats(shown, self.voxel_size, unseen.time_s - self.start_s, finer)
-        drawn = render_splats(flame, finer, near=self.voxel_size, antialias=True)
+        flame = splats(shown.raw, self.voxel_size, when(unseen.time_s - self.start_s, shown.stack), finer)
+        drawn = render_splats(flame, finer, near=self.voxel_size, antialias=True, stack=shown.stack)
         if self.surroundings.emissive:  # over black, and the plate as light: there and back takes three powers a pixel
             fine = sum_light(drawn.color, drawn.alpha, [opaque(x) for x in srgb_to_linear(plain)])
         else:
             pairs = zip(drawn.color, plain, strict=True)
             fine = [to_light(dr.fma(1 - drawn.alpha, opaque(behind), plane)) for plane, behind in pairs]
         dr.eval(fine)  # in one kernel: what is gathered from is evaluated plane by plane otherwise
-        seen = [to_display(halve(plane, width, height)) for plane in fine]
+        seen = [to_display(halve(plane, width, len(unseen.time_s) * height)) for plane in fine]
         values = look_up(floats(unseen.thickness), unseen.levels, unseen.curves)
         wanted = list(zip(values[:3], values[3:], strict=True))
         least = over_plain([dr.maximum(light - spread, 0) for light, spread in wanted], plain)
         most = over_plain([light + spread for light, spread in wanted], plain)
         return measure_beyond(seen, least, most)
 
-    def _time_s(self, f: int, c: int) -> float:
-        """When a camera's picture of a frame was taken, after the clip's start."""
-        return float(self.read_s[c, f]) - self.start_s
+    def _times_s(self, batch: Batch) -> np.ndarray:
+        """(K,) when its pictures were taken, after the clip's start."""
+        return self.read_s[batch.c, list(batch.frames)] - self.start_s
 
     def watch(self, step: int, frame: Frame, c: int) -> None:
         """After the backward pass of a step."""
         if self._density is not None:
             self._density.watch(step, frame, self.cameras[c], dr.width(self.optimizer["t_mu"]))
 
-    def change(self, step: int) -> None:
-        """After a step: density control, where the method has it, needles cut, and colours drawn to the palette."""
+    def change(self, before: int, done: int) -> None:
+        """After steps: density control, where the method has it, needles cut, and colours drawn to the palette."""
         if self._density is not None:
-            self._density.change(step, self.optimizer)
-        if self._blunts and (step + 1) % BLUNT_EVERY == 0:
+            self._density.change(before, self.optimizer)
+        if self._blunts and is_due(BLUNT_EVERY, before, done):
             self._blunt()
-        if self._palette is not None and (step + 1) % RECOLOR_EVERY == 0 and step < self._recolored:
+        if self._palette is not None and is_due(RECOLOR_EVERY, before, done) and before < self._recolored:
             self.optimizer["color_logit"] = recolor(self.optimizer, self._palette, PULL)
 
     def _blunt(self) -> None:
@@ -302,56 +325,13 @@ class Flame:
         return self.surroundings.result(replace(gaussians, **self._kept), self.optimizer)
 
 
-def united(sets: list[np.ndarray], count: int) -> np.ndarray:
-    """Return the rows below `count` that are in any of the sets, uint32, ascending, each once."""
-    if len(sets) == 1:
-        return sets[0]
-    found = np.zeros(count, bool)  # np.unique takes milliseconds, a third of a step
-    for rows in sets:
-        found[rows] = True
-    return np.flatnonzero(found).astype(np.uint32)
+def when(times_s: np.ndarray, stack: Stack | None) -> float | Float:
+    """Return the time at which each Gaussian is seen, of K pictures'."""
+    return float(times_s[0]) if stack is None else dr.gather(Float, floats(times_s), stack.picture)
 
 
-class TrainingPictures:
-    """The delivered training pictures' windows, each brought to the renderer when it is drawn against.
-
-    Made ready again every time: a fiftieth of a step, and kept they would take as much memory as all else.
-    """
-
-    def __init__(self, observation: Observation, windows: Windows, unseen: UnseenViews | None = None):
-        self._observation, self._windows = observation, windows
-        self.unseen = unseen
-        self._delivered = np.argwhere(observation.delivered)
-        self._epoch: tuple[int, int] | None = None  # seed and number of the one whose order is known
-        self._order = self._delivered
-
-    def drawn(self, seed: int, step: int) -> tuple[int, int]:
-        """Frame and camera of a step: every picture once an epoch, in an order of its own, the same when resumed."""
-        epoch, place = divmod(step, len(self._delivered))
-        if (seed, epoch) != self._epoch:
-            self._epoch, self._order = (seed, epoch), np.random.default_rng((seed, epoch)).permutation(self._delivered)
-        f, c = self._order[place].tolist()
-        return f, c
-
-    def target(self, f: int, c: int) -> Target:
-        """Return the picture, ready for the loss."""
-        return Target(self._windows.cut(c, self._observation.image[f, c]))
-
-    def white(self, f: int, c: int) -> list[Bool]:
-        """Return three planes: where the picture shows as much of a channel as it can."""
-        seen = self._windows.cut(c, self._observation.image[f, c]) >= WHITE
-        return [Bool(np.ascontiguousarray(seen[..., channel].ravel())) for channel in range(3)]
-
-    def outside(self, f: int, c: int) -> Float:
-        """1 where no flame may be, else 0."""
-        no_flame = ~self._windows.cut(c, self._observation.allowed[f, c]).ravel()
-        return Float(np.ascontiguousarray(no_flame, np.float32))
-
-
-def _loss(
-    drawn: DrawnView, pictures: TrainingPictures, f: int, c: int, schedule: Schedule, clipped: bool = False
-) -> Any:
-    """Return the loss of camera c's picture of frame f; a Dr.Jit tensor of one number, differentiable.
+def _loss(drawn: DrawnView, pictures: TrainingPictures, batch: Batch, schedule: Schedule, clipped: bool = False) -> Any:
+    """Return the mean loss of a batch's pictures; a Dr.Jit tensor of one number, differentiable.
 
     Args:
         clipped: light is added to what lies behind, and a camera shows no more than white. Where a flame is white
@@ -360,10 +340,10 @@ def _loss(
     """
     color = drawn.color
     if clipped:
-        white = pictures.white(f, c)
+        white = pictures.white(batch)
         color = [dr.select(full & (shown > 1), 1, shown) for full, shown in zip(white, color, strict=True)]
-    loss = l1_ssim(color, pictures.target(f, c), SSIM_WEIGHT, schedule.square_loss)
-    return loss + schedule.alpha_loss * dr.mean(drawn.share * pictures.outside(f, c))
+    loss = l1_ssim(color, pictures.target(batch), SSIM_WEIGHT, schedule.square_loss)
+    return loss + schedule.alpha_loss * dr.mean(drawn.share * pictures.outside(batch))
 
 
 def halve(plane: Float, width: int, height: int) -> Float:

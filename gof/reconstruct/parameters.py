@@ -12,7 +12,7 @@ takes it away again. Both are seen from the side.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import drjit as dr
@@ -86,8 +86,11 @@ def from_raw(raw: Raw, voxel_size: float, start_s: float) -> TransientGaussians:
     )
 
 
-def splats(raw: Raw, voxel_size: float, time_s: float, camera: Camera) -> Splats:
-    """Return the splats of a frame whose first line is read at `time_s` after the clip's start; differentiable."""
+def splats(raw: Raw, voxel_size: float, time_s: float | Float, camera: Camera) -> Splats:
+    """Return the splats of a frame whose first line is read at `time_s` after the clip's start; differentiable.
+
+    time_s: one for all, or (N,).
+    """
     position, opacity = _state(raw, voxel_size, time_s, camera)
     color = _color(raw)
     return Splats(position, raw["rotation"], _scale(raw, voxel_size), opacity, [color.x, color.y, color.z])
@@ -105,28 +108,22 @@ def recolor(raw: Raw, palette: Palette, pull: float) -> Array3f:
     return columns(np.where(brightest > BLACK, logit + pull * (wanted - logit), logit).astype(np.float32), Array3f)
 
 
-def alight(raw: Raw, voxel_size: float, time_s: float, camera: Camera) -> np.ndarray:
-    """Rows (K,) uint32, ascending, among which are all that `splats` would draw: most live at other times.
-
-    Whole groups of GROUP neighbours in memory, so that they are moved at memory's speed; at least one group.
-    """
-    _, opacity = _state({name: dr.detach(raw[name]) for name in MOVING}, voxel_size, time_s, camera)
-    count = len(opacity)
-    groups = np.zeros(-(-count // GROUP) * GROUP, bool)
-    groups[:count] = (opacity > FAINTEST).numpy()
-    groups = np.flatnonzero(groups.reshape(-1, GROUP).any(1))
-    groups = groups if len(groups) else np.zeros(1, np.int64)
-    rows = (GROUP * groups[:, None] + np.arange(GROUP)).ravel()
-    return rows[rows < count].astype(np.uint32)
+def alight(raw: Raw, voxel_size: float, times_s: Sequence[float], camera: Camera) -> np.ndarray:
+    """(K, N) bool: which Gaussians `splats` can draw at each of K times. Most live at other times."""
+    moving = {name: dr.detach(raw[name]) for name in MOVING}
+    shown = [_state(moving, voxel_size, time_s, camera)[1] > FAINTEST for time_s in times_s]
+    dr.eval(shown)  # in one kernel
+    return np.stack([mask.numpy() for mask in shown])
 
 
-def _state(raw: Raw, voxel_size: float, time_s: float, camera: Camera) -> tuple[Array3f, Float]:
+def _state(raw: Raw, voxel_size: float, time_s: float | Float, camera: Camera) -> tuple[Array3f, Float]:
     """Position and opacity of each Gaussian when the camera reads it."""
+    time_s = time_s if isinstance(time_s, Float) else opaque(time_s)
     motion = raw["x0"], raw["velocity"], raw["t_mu"], dr.exp(raw["log_t_sigma"]), _sigmoid(raw["opacity"])
     position, opacity = transient_state(*motion, time_s)
     if camera.row_time_s > 0:
         delay = shutter_delay(position, raw["velocity"], camera, near=voxel_size)
-        position, opacity = transient_state(*motion, delay + opaque(time_s))
+        position, opacity = transient_state(*motion, delay + time_s)
     return position, opacity
 
 

@@ -18,9 +18,10 @@ from gof.core.gaussians import TransientGaussians
 from gof.reconstruct.parameters import PLATE, rows
 from gof.reconstruct.voxels import ROOM, FlameVoxels
 from gof.render import Splats, render, render_splats
-from gof.render.backend import Array3f, Float
+from gof.render.backend import Array3f, Float, UInt
+from gof.render.light import show_before, to_light
 from gof.render.rasterizer import Frame, splats_at
-from gof.render.scene import columns
+from gof.render.scene import Stack, columns
 
 
 class DrawnView(NamedTuple):
@@ -35,7 +36,7 @@ class DrawnView(NamedTuple):
 
 
 class Surroundings(Protocol):
-    """Surroundings of the flame; drawn one picture at a time."""
+    """Surroundings of the flame."""
 
     @property
     def emissive(self) -> bool:
@@ -44,11 +45,12 @@ class Surroundings(Protocol):
     def unknowns(self) -> dict[str, Any]:
         """Return the raw parameters that the optimisation may change, by name."""
 
-    def draw(self, flame: Splats, camera: int, near: float, unknowns: Any) -> DrawnView:
+    def draw(self, flame: Splats, camera: int, near: float, unknowns: Any, stack: Stack | None = None) -> DrawnView:
         """Draw the camera's view with the flame in it.
 
         Args:
             near: m, Gaussians closer to the camera are not drawn.   unknowns: where those of `unknowns` are now.
+            stack: several pictures of the camera's at once.
         """
 
     def moved(self, camera: int, unknowns: Any) -> Any:
@@ -88,13 +90,20 @@ class Plates:
         change = self._at(camera, unknowns) - self._plates[f"{PLATE}{camera}"]
         return dr.mean(dr.squared_norm(change)) / 3 if self._move else 0.0
 
-    def draw(self, flame: Splats, camera: int, near: float, unknowns: Any) -> DrawnView:
+    def draw(self, flame: Splats, camera: int, near: float, unknowns: Any, stack: Stack | None = None) -> DrawnView:
         plate, through = self._at(camera, unknowns), self._through[camera]
         planes = [plate.x, plate.y, plate.z]
-        frame = render_splats(flame, self._cameras[camera], planes, emissive=self.emissive, near=near)
+        frame = render_splats(flame, self._cameras[camera], near=near, stack=stack)
+        pictures = 1 if stack is None else stack.count
+        if self.emissive:
+            color = show_before(frame.color, frame.alpha, [to_light(plane) for plane in planes], pictures)
+        else:
+            pairs = zip(frame.color, planes, strict=True)
+            color = [dr.fma(1 - frame.alpha, dr.tile(plane, pictures), drawn) for drawn, plane in pairs]
         if through is None:
-            return DrawnView(frame.color, frame.alpha, frame)
-        color = [dr.fma(through, drawn - still, still) for drawn, still in zip(frame.color, planes, strict=True)]
+            return DrawnView(color, frame.alpha, frame)
+        through, stills = dr.tile(through, pictures), [dr.tile(plane, pictures) for plane in planes]
+        color = [dr.fma(through, drawn - still, still) for drawn, still in zip(color, stills, strict=True)]
         return DrawnView(color, through * frame.alpha, frame)
 
     def result(self, flame: TransientGaussians, unknowns: Any) -> tuple[TransientGaussians, list[np.ndarray]]:
@@ -127,15 +136,17 @@ class StillScene:
     def moved(self, camera: int, unknowns: Any) -> Any:
         return 0.0
 
-    def draw(self, flame: Splats, camera: int, near: float, unknowns: Any) -> DrawnView:
+    def draw(self, flame: Splats, camera: int, near: float, unknowns: Any, stack: Stack | None = None) -> DrawnView:
         layers, view = self._layers[camera], self._cameras[camera]
+        if stack is not None:
+            layers, stack = _stacked(layers, stack)
         if layers.among is None:
-            frame = render_splats(flame, view, background=layers.behind, near=near)
+            frame = render_splats(flame, view, background=layers.behind, near=near, stack=stack)
             share = frame.alpha
         else:
             is_flame = dr.concat([dr.full(Float, 1, len(flame)), dr.zeros(Float, len(layers.among))])
             both = _together(flame, layers.among)
-            frame = render_splats(both, view, background=layers.behind, near=near, dynamic=is_flame)
+            frame = render_splats(both, view, background=layers.behind, near=near, dynamic=is_flame, stack=stack)
             share = frame.dynamic_alpha
         through = layers.through
         color = [dr.fma(through, drawn, front) for drawn, front in zip(frame.color, layers.front, strict=True)]
@@ -169,6 +180,24 @@ class _Layers:
         behind, _ = _drawn(still[farther], camera, voxels.voxel_size)
         among = still[~nearer & ~farther]
         return cls(front, through, splats_at(among, camera, 0.0) if len(among) else None, behind)
+
+
+def _stacked(layers: _Layers, stack: Stack) -> tuple[_Layers, Stack]:
+    """Return the same view once for each picture, and the stack with those among the flame behind the flame's own."""
+
+    def again(x: Any) -> Any:
+        return dr.tile(x, stack.count)
+
+    planes = [again(plane) for plane in layers.front], again(layers.through)
+    behind = [again(plane) for plane in layers.behind]
+    if layers.among is None:
+        return _Layers(*planes, None, behind), stack
+    s = layers.among
+    among = Splats(
+        again(s.position), again(s.rotation), again(s.scale), again(s.opacity), [again(column) for column in s.color]
+    )
+    picture = dr.concat([stack.picture, dr.repeat(dr.arange(UInt, stack.count), len(s))])
+    return _Layers(*planes, among, behind), Stack(stack.count, picture)
 
 
 def _drawn(still: TransientGaussians, camera: Camera, near: float) -> tuple[list[Float], Float]:

@@ -11,7 +11,7 @@ free: a filmed flame, of which it knows less, is held less.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
@@ -38,22 +38,26 @@ THIN, SURE = 0.1, 0.5  # of the usual thickness: below the first it tells nothin
 
 
 class UnseenView(NamedTuple):
-    """One view. time_s: on the dataset clock.   thickness: (h * w,) float32.   levels, curves: see `UnseenViews`."""
+    """The view of a camera in K frames.
+
+    Attributes:
+        time_s: (K,) on the dataset clock.   thickness: (K * h * w,) float32.   levels, curves: see `UnseenViews`.
+    """
 
     camera: Camera
-    time_s: float
+    time_s: np.ndarray
     thickness: np.ndarray
     levels: np.ndarray
     curves: np.ndarray
 
     @property
     def light(self) -> np.ndarray:
-        """(3, h * w) float32 linear light over black."""
+        """(3, K * h * w) float32 linear light over black."""
         return self._looked_up(self.curves[:, :3])
 
     @property
     def spread(self) -> np.ndarray:
-        """(3, h * w) float32: how far the light may be off."""
+        """(3, K * h * w) float32: how far the light may be off."""
         return self._looked_up(self.curves[:, 3:])
 
     def _looked_up(self, curves: np.ndarray) -> np.ndarray:
@@ -80,15 +84,15 @@ class UnseenViews:
     levels: np.ndarray
     curves: np.ndarray
 
-    def view(self, frame: int, camera: int) -> UnseenView:
-        """Return the view of a frame from a row of `cameras`."""
-        thickness = self.thickness[frame, camera].astype(np.float32).ravel()
-        return UnseenView(self.cameras[camera], float(self.time_s[frame]), thickness, self.levels, self.curves)
+    def view(self, rows: Sequence[int], camera: int) -> UnseenView:
+        """Return the view of these rows of `frames` from a row of `cameras`."""
+        thickness = self.thickness[list(rows), camera].astype(np.float32).ravel()
+        return UnseenView(self.cameras[camera], self.time_s[list(rows)], thickness, self.levels, self.curves)
 
-    def choose(self, frame: int, rng: np.random.Generator) -> UnseenView | None:
-        """One of a frame of the observation by chance; None where it has none."""
-        (row,) = np.nonzero(self.frames == frame)
-        return self.view(int(row[0]), int(rng.integers(len(self.cameras)))) if len(row) else None
+    def choose(self, frames: Sequence[int], rng: np.random.Generator) -> UnseenView | None:
+        """Return a view of frames of the observation, from a camera by chance; None where one has none."""
+        rows = np.flatnonzero(np.isin(self.frames, frames)).tolist()
+        return self.view(rows, int(rng.integers(len(self.cameras)))) if len(rows) == len(frames) else None
 
 
 @dataclass(frozen=True)

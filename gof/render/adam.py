@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
+from itertools import islice
 from typing import Any
 
 import drjit as dr
@@ -16,9 +17,11 @@ from gof.render.blend import as_plane
 
 @dataclass(frozen=True)
 class _Part:
-    """Rows that a step moves: `gof.render.native.adam.RowRuns`, and their values, whose gradients count."""
+    """Rows that a step moves: `gof.render.native.adam.RowRuns`; places among them of those that are there again, at
+    the end; and the values of all, whose gradients count."""
 
     rows: Any
+    again: np.ndarray
     values: dict[str, Any]
 
 
@@ -41,7 +44,7 @@ class Adam(opt.Adam):
         self._memory: dict[str, _Memory] = {}
         super().__init__(*args, **kwargs)
 
-    def only(self, names: Iterable[str], rows: np.ndarray) -> dict[str, Any]:
+    def only(self, names: Iterable[str], rows: np.ndarray, again: np.ndarray | None = None) -> dict[str, Any]:
         """Return these rows of parameters of N rows each, by name, differentiable; others have gradient 0 in this step.
 
         Rows that a picture does not show cost nothing then: the next `step` reads and moves these rows only, as
@@ -50,38 +53,51 @@ class Adam(opt.Adam):
 
         Args:
             rows: (K,) uint32, ascending, each once, K > 0. Runs of 16 or more are moved at memory's speed.
+            again: (A,) uint32 places among `rows` that follow once more at the end, as often as they are named; their
+                gradients add up.
         Raises:
             ValueError: `mask_updates` is off.
         """
         if not self.mask_updates:
             raise ValueError("only: rows that are left out must not change, which needs mask_updates")
+        again = np.zeros(0, np.uint32) if again is None else again
         if kernels().name != "native":
-            index = whole_numbers(rows)
-            return {name: _gathered(self[name], index) for name in names}
+            index = whole_numbers(np.concatenate([rows, rows[again]]))
+            mode = dr.ReduceMode.Auto if len(again) else dr.ReduceMode.NoConflicts
+            return {name: _gathered(self[name], index, mode) for name in names}
         from gof.render.native.adam import RowRuns, take
 
-        self._part = _Part(RowRuns.of(rows), {})
-        for name in names:
-            value, columns = self.state[name][0], self._in_memory(name).columns[0]
-            self._part.values[name] = type(value)(*take(columns, self._part.rows))
-        dr.enable_grad(self._part.values)
-        return dict(self._part.values)
+        runs = RowRuns.of(rows)
+        columns = {name: self._in_memory(name).columns[0] for name in names}
+        taken = iter(take([column for each in columns.values() for column in each], runs, again))
+        values = {name: type(self.state[name][0])(*islice(taken, len(each))) for name, each in columns.items()}
+        dr.enable_grad(values)
+        self._part = _Part(runs, again, values)
+        return dict(values)
 
     def step(self) -> None:
         """Move every parameter by its gradient; with `mask_updates` what has gradient 0 stays, with its moments."""
         if kernels().name != "native":
             super().step()
             return
-        part, self._part = self._part or _Part(None, {}), None
+        from gof.render.native.adam import adam_rows
+
+        part, self._part = self._part or _Part(None, np.zeros(0, np.uint32), {}), None
         learned = {key: part.values.get(key, value) for key, (value, *_) in self.state.items()}
         gradients = {key: _columns(dr.grad(value)) for key, value in learned.items()}
         dr.schedule(gradients)
+        parts = []
         for key, gradient in gradients.items():
+            steps = self._count(key)
             if self.mask_updates and all(_is_nothing(column) for column in gradient):
-                self._count(key)
+                continue
+            planes = [as_plane(column, dr.width(learned[key])) for column in gradient]
+            if key in part.values:
+                parts.append((self._in_memory(key).columns, planes, self._constants(key, steps)))
             else:
-                planes = [as_plane(column, dr.width(learned[key])) for column in gradient]
-                self._move(key, planes, part.rows if key in part.values else None)
+                self._move(key, planes, self._constants(key, steps))
+        if parts:
+            adam_rows(parts, part.rows, part.again)
 
     def _count(self, key: str) -> int:
         """Return a parameter's steps, with this one, and note it."""
@@ -90,17 +106,17 @@ class Adam(opt.Adam):
         self.state[key] = value, promoted, rate, (dr.uint32_array_t(Float)(steps), *moments, extra)
         return steps
 
-    def _move(self, key: str, gradient: list[Float], rows: Any) -> None:
-        """Move a parameter by its columns' gradients, or these rows of it in its memory."""
-        from gof.render.native.adam import adam, adam_rows
+    def _constants(self, key: str, steps: int) -> tuple[float, float, float, float]:
+        """Return a parameter's rate, with the correction of the moments' bias, both betas and epsilon."""
+        rate = self.lr if self.state[key][2] is None else self.state[key][2]
+        corrected = rate * (1 - self.beta_2**steps) ** 0.5 / (1 - self.beta_1**steps)
+        return corrected, self.beta_1, self.beta_2, self.epsilon
 
-        steps = self._count(key)
+    def _move(self, key: str, gradient: list[Float], constants: tuple[float, float, float, float]) -> None:
+        """Move a whole parameter by its columns' gradients."""
+        from gof.render.native.adam import adam
+
         value, promoted, rate, (t, *moments, extra) = self.state[key]
-        rate_now = (self.lr if rate is None else rate) * (1 - self.beta_2**steps) ** 0.5 / (1 - self.beta_1**steps)
-        constants = rate_now, self.beta_1, self.beta_2, self.epsilon
-        if rows is not None:
-            adam_rows(self._in_memory(key).columns, rows, gradient, *constants)
-            return
         old = [_columns(dr.detach(x)) for x in (value, *moments)]
         new = adam(old, gradient, *constants, self.mask_updates)
         value, *moments = (type(like)(*columns) for like, columns in zip((value, *moments), new, strict=True))
@@ -154,6 +170,6 @@ def _is_nothing(gradient: Float) -> bool:
     return gradient.state == dr.VarState.Literal and float(gradient[0]) == 0
 
 
-def _gathered(value: Any, index: UInt) -> Any:
-    columns = [dr.gather(Float, c, index, mode=dr.ReduceMode.NoConflicts) for c in _columns(value)]
+def _gathered(value: Any, index: UInt, mode: dr.ReduceMode) -> Any:
+    columns = [dr.gather(Float, c, index, mode=mode) for c in _columns(value)]
     return type(value)(*columns)

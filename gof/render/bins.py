@@ -13,6 +13,7 @@ that needs more pairs than a budget is binned in bands of block rows, one after 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import drjit as dr
 import numpy as np
@@ -28,6 +29,28 @@ PAIR_BUDGET = 1 << 24  # pairs binned at a time; a pair takes about 40 bytes whi
 # Bits of a key that are sorted at a time. On a GPU Dr.Jit's counting sort keeps the order of equal keys only while
 # each warp has counters of its own in shared memory; with more keys it takes atomics, and lists lose their depth order.
 DIGIT_BITS = 8 if BACKEND == "cuda" else 32
+
+
+class Canvas(NamedTuple):
+    """Pictures of one size, px, that stand one below the other; each begins with a row of blocks of its own."""
+
+    width: int
+    height: int
+    pictures: int = 1
+
+    @property
+    def columns(self) -> int:
+        """Blocks in a row."""
+        return -(-self.width // BLOCK)
+
+    @property
+    def picture_rows(self) -> int:
+        """Rows of blocks of one picture."""
+        return -(-self.height // BLOCK)
+
+    @property
+    def rows(self) -> int:
+        return self.pictures * self.picture_rows
 
 
 @dataclass
@@ -84,15 +107,18 @@ class Bins:
     segment_end: UInt
 
 
-def ellipses(p: Projected, columns: int, rows: int) -> Ellipses:
-    """In a picture of so many blocks; arrays come in detached, and leave unevaluated."""
+def ellipses(p: Projected, canvas: Canvas) -> Ellipses:
+    """Arrays come in detached, and leave unevaluated."""
     reach = p.log2_opacity + (LOG2_255 + MARGIN)
     drawn = p.visible & (reach > 0)
     mahalanobis2 = dr.maximum(reach, 0.0) * (2.0 / LOG2_E)
     half_height = dr.sqrt(mahalanobis2 * p.cov_yy) + MARGIN
     half_width = dr.sqrt(mahalanobis2 * p.cov_xx) + MARGIN
-    first_row, end_row = _span(p.mean_y - half_height, p.mean_y + half_height, rows)
-    first_column, end_column = _span(p.mean_x - half_width, p.mean_x + half_width, columns)
+    y = p.mean_y if p.top is None else p.mean_y - Float(BLOCK * p.top)
+    first_row, end_row = _span(y - half_height, y + half_height, canvas.picture_rows)
+    if p.top is not None:  # cut at its own picture's edges, it cannot reach into the next
+        first_row, end_row = first_row + Int(p.top), end_row + Int(p.top)
+    first_column, end_column = _span(p.mean_x - half_width, p.mean_x + half_width, canvas.columns)
     drawn &= end_column > first_column
     inverse = dr.rcp(p.cov_yy)
     shrink = p.det * inverse * inverse
@@ -101,10 +127,9 @@ def ellipses(p: Projected, columns: int, rows: int) -> Ellipses:
     return Ellipses(p.cov_xy * inverse, shrink, mahalanobis2 * p.cov_yy * shrink, first_row, end_row, width)
 
 
-def footprints(p: Projected, width: int, height: int) -> Footprints:
+def footprints(p: Projected, canvas: Canvas) -> Footprints:
     """`ellipses` in order of depth; arrays come in detached."""
-    columns, rows = -(-width // BLOCK), -(-height // BLOCK)
-    e = ellipses(p, columns, rows)
+    e = ellipses(p, canvas)
     integers = [e.first_row, e.end_row, dr.arange(UInt, len(p.depth))]
     ellipse = [p.mean_x, p.mean_y, e.slope, e.shrink, e.half_width2]
     unsorted = pack(ellipse + [dr.reinterpret_array(Float, v) for v in integers], 8)
@@ -113,7 +138,7 @@ def footprints(p: Projected, width: int, height: int) -> Footprints:
     front, back = dr.gather(Array4f, unsorted, 2 * order), dr.gather(Array4f, unsorted, 2 * order + 1)
     first_row, end_row = (dr.reinterpret_array(Int, back[k]) for k in (1, 2))
     dr.schedule(first_row, end_row)
-    out = Footprints(pack([*front, *back], 8), first_row, end_row, order, e.width, columns, rows)
+    out = Footprints(pack([*front, *back], 8), first_row, end_row, order, e.width, canvas.columns, canvas.rows)
     dr.eval(out)
     return out
 

@@ -61,8 +61,8 @@ class Trace:
 class DrJitBlend(dr.CustomOp):
     """See `gof.render.rasterizer.blend`."""
 
-    def eval(self, geometry, channels, projected, width, height, trace, deterministic, pair_budget, max_alpha, absgrad):
-        self.shapes = shapes = footprints(projected, width, height)
+    def eval(self, geometry, channels, projected, canvas, trace, deterministic, pair_budget, max_alpha, absgrad):
+        self.shapes = shapes = footprints(projected, canvas)
         self.trace, self.deterministic, self.max_alpha, self.absgrad = trace, deterministic, max_alpha, absgrad
         self.n, self.n_channels = len(geometry[0]), len(channels)
         self.records = pack(geometry + channels, stride(len(geometry) + len(channels)))

@@ -1,10 +1,10 @@
 """L1 + SSIM image loss (Kerbl et al. 2023, equation 7) as four passes over memory, and its analytic adjoint.
 
-All channels lie in one strip of memory, row after row, with zeros between rows and between channels. A neighbour k
-pixels away is then the same strip read k places later, so a blur is a sum of shifted strips: contiguous loads, no index
-arithmetic, no border case. Terms of the ground truth alone are computed once per `Target`. The forward pass leaves
-the derivatives of SSIM with respect to three local moments behind and the backward pass blurs those (the window is
-symmetric and zero outside the image, so the blur is its own adjoint).
+All channels of all pictures lie in one strip of memory, row after row, with zeros between rows and between pictures. A
+neighbour k pixels away is then the same strip read k places later, so a blur is a sum of shifted strips: contiguous
+loads, no index arithmetic, no border case. Terms of the ground truth alone are computed once per `Target`. The forward
+pass leaves the derivatives of SSIM with respect to three local moments behind and the backward pass blurs those (the
+window is symmetric and zero outside the image, so the blur is its own adjoint).
 """
 
 from __future__ import annotations
@@ -24,8 +24,9 @@ ALIGN = 16  # floats; a blur along rows shortens a strip by this at both ends, s
 
 @dataclass(frozen=True)
 class Strip:
-    """Places of an image's pixels in a strip."""
+    """Places of the pixels of pictures of one size in a strip: by channels, and in a channel by pictures."""
 
+    pictures: int
     height: int
     width: int
     channels: int
@@ -35,31 +36,39 @@ class Strip:
         return -(-(self.width + REACH) // ALIGN) * ALIGN
 
     @property
+    def plane(self) -> int:
+        """Places of a channel's pictures, each with the zeros below it."""
+        return self.pictures * (self.height + REACH) * self.row
+
+    @property
     def margin(self) -> int:
         """Zeros at both ends: a blur along rows and columns, and its adjoint."""
         return 2 * (ALIGN + REACH * self.row)
 
     @property
     def size(self) -> int:
-        return self.channels * (self.height + REACH) * self.row + 2 * self.margin
+        return self.channels * self.plane + 2 * self.margin
 
     def fill(self, image: np.ndarray) -> Float:
-        """Return a strip of an (H, W, D) image."""
+        """Return a strip of a (K, H, W, D) image."""
         strip = np.zeros(self.size, np.float32)
-        body = strip[self.margin : self.size - self.margin].reshape(self.channels, self.height + REACH, self.row)
-        body[:, : self.height, : self.width] = image.transpose(2, 0, 1)
+        body = strip[self.margin : self.size - self.margin].reshape(self.channels, self.pictures, -1, self.row)
+        body[:, :, : self.height, : self.width] = image.transpose(3, 0, 1, 2)
         return floats(strip)
 
     def pixels(self, channel: int, margin: int) -> UInt:
-        """Places of a channel's pixels (H * W,) in a strip that has this margin left."""
-        i = dr.arange(UInt, self.width * self.height)
-        return i + (i // self.width) * (self.row - self.width) + (margin + channel * (self.height + REACH) * self.row)
+        """Places of a channel's pixels (K * H * W,) in a strip that has this margin left."""
+        i = dr.arange(UInt, self.pictures * self.height * self.width)
+        places = i + (i // self.width) * (self.row - self.width) + (margin + channel * self.plane)
+        if self.pictures > 1:  # a lone picture needs no second division
+            places += (i // (self.height * self.width)) * (REACH * self.row)
+        return places
 
 
 @cache
 def _even_weight(strip: Strip) -> Float:
     """Return the weight that all unmasked targets of a size share."""
-    return _weight(strip, np.ones((strip.height, strip.width)))
+    return _weight(strip, np.ones((strip.pictures, strip.height, strip.width)))
 
 
 def _weight(strip: Strip, mask: np.ndarray) -> Float:
@@ -68,11 +77,15 @@ def _weight(strip: Strip, mask: np.ndarray) -> Float:
 
 
 class Target:
-    """A ground-truth image with its blurred moments.
+    """A ground-truth image, or several of one size, with their blurred moments.
+
+    Several are compared at once with pictures that stand one below the other in every plane. Each is as if alone: the
+    windows see zeros beyond its border, never its neighbour.
 
     Args:
-        image: (H, W, D) values in display range [0, 1].
-        mask: (H, W) non-negative weight of every pixel in both terms; None = 1. Weights are divided by their sum.
+        image: (H, W, D) values in display range [0, 1], or (K, H, W, D) for K pictures.
+        mask: (H, W), or (K, H, W) for K pictures: non-negative weight of every pixel in all terms; None = 1. Weights
+            are divided by their sum over all pictures.
 
     Raises:
         DataFormatError: shapes disagree, or the weights sum to 0.
@@ -80,13 +93,17 @@ class Target:
 
     def __init__(self, image: np.ndarray, mask: np.ndarray | None = None):
         image = np.asarray(image, np.float32)
-        if image.ndim != 3:
-            raise DataFormatError(f"target image has shape {image.shape}, expected (H, W, D)")
-        if mask is not None and (np.shape(mask) != image.shape[:2] or not np.sum(mask) > 0):
+        if image.ndim not in (3, 4) or not image.size:
             raise DataFormatError(
-                f"target mask has shape {np.shape(mask)} and sum {np.sum(mask):g}; expected {image.shape[:2]}, > 0"
+                f"target image has shape {image.shape}, expected (H, W, D) or (K, H, W, D), all of them at least 1"
             )
-        self.shape = image.shape
+        if mask is not None and (np.shape(mask) != image.shape[:-1] or not np.sum(mask) > 0):
+            raise DataFormatError(
+                f"target mask has shape {np.shape(mask)} and sum {np.sum(mask):g}; expected {image.shape[:-1]}, > 0"
+            )
+        image = image.reshape(-1, *image.shape[-3:])
+        mask = None if mask is None else np.reshape(mask, image.shape[:-1])
+        self.shape = image.shape  # (K, H, W, D)
         kind = _Strips
         if kernels().name == "native":
             from gof.render.native.loss import NativeTarget as kind
@@ -94,7 +111,7 @@ class Target:
 
 
 class _Strips:
-    """Data of a target that the Dr.Jit kernels read."""
+    """Data of a target (K, H, W, D) that the Dr.Jit kernels read."""
 
     def __init__(self, image: np.ndarray, mask: np.ndarray | None):
         self.strip = Strip(*image.shape)
@@ -115,22 +132,24 @@ def l1_ssim(
 ) -> Float:
     """(1 - w) mean |x - y| + w (1 - mean SSIM) + s mean (x - y)^2, an AD scalar; w and s are the weights.
 
+    Where the target holds K pictures, the mean of the K pictures' losses.
+
     SSIM with an 11x11 window of sigma 1.5 px, zero beyond the border, constants for a range of 1. |x - y| has gradient
     0 where x = y. Values far outside [0, 1] lose digits in the local variances.
 
     Args:
-        image: D planes (H * W,), row-major.
-        target: a `Target`, or an (H, W, D) array (then its moments are computed every time).
+        image: D planes (H * W,), row-major; of K pictures (K * H * W,), one picture after the other.
+        target: a `Target`, or an (H, W, D) or (K, H, W, D) array (then its moments are computed every time).
     Raises:
         DataFormatError: number of channels or pixels differ.
     """
     if not isinstance(target, Target):
         target = Target(target)
-    height, width, channels = target.shape
-    if len(image) != channels or any(len(c) != width * height for c in image):
+    pictures, height, width, channels = target.shape
+    if len(image) != channels or any(len(c) != pictures * height * width for c in image):
         raise DataFormatError(
-            f"image has {len(image)} channels of {len(image[0])} pixels; target is {width}x{height} "
-            f"with {channels} channels"
+            f"image has {len(image)} channels of {len(image[0])} pixels; target is "
+            f"{f'{pictures} pictures of ' if pictures > 1 else ''}{width}x{height} with {channels} channels"
         )
     return dr.custom(target.moments.operation, list(image), target.moments, ssim_weight, square_weight)
 

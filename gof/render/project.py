@@ -12,7 +12,7 @@ import drjit as dr
 
 from gof.core.cameras import Camera
 from gof.core.errors import DataFormatError
-from gof.render.backend import Array3f, Array4f, Bool, Float, opaque
+from gof.render.backend import Array3f, Array4f, Bool, Float, UInt, opaque
 
 LOG2_E = 1.4426950408889634
 MAX_SIGMA_PX = 1e6  # wider Gaussians are drawn this wide (flat over any image) so that determinants stay in float32
@@ -65,6 +65,7 @@ class Projected:
     cov_xy: Float
     cov_yy: Float
     det: Float
+    top: UInt | None = None  # first block row of its picture, where several stand one below the other
 
     @property
     def radius(self) -> Float:

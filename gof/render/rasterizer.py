@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import drjit as dr
 import numpy as np
@@ -11,12 +11,12 @@ from gof.core.cameras import Camera
 from gof.core.errors import DataFormatError
 from gof.core.gaussians import TransientGaussians
 from gof.render.backend import Array2f, Array3f, Array4f, Bool, Float, UInt, floats, kernels, opaque
-from gof.render.bins import BLOCK, PAIR_BUDGET
+from gof.render.bins import BLOCK, PAIR_BUDGET, Canvas
 from gof.render.blend import MAX_ALPHA, DrJitBlend, Trace
 from gof.render.harmonics import harmonics_color
 from gof.render.light import add_light
 from gof.render.project import Projected, ProjectionOptions, project
-from gof.render.scene import MAX_CHANNELS, Splats, columns, require_finite_splats, transient_state
+from gof.render.scene import MAX_CHANNELS, Splats, Stack, columns, require_finite_splats, transient_state
 from gof.render.shutter import shutter_delay
 
 MIN_ALPHA = 1 / 255  # fainter is not drawn
@@ -24,10 +24,13 @@ MIN_ALPHA = 1 / 255  # fainter is not drawn
 
 @dataclass
 class Frame:
-    """A drawn image. Planes are row-major (H * W,) and carry gradients to everything in `Splats`."""
+    """A drawn image. Planes are row-major (H * W,) and carry gradients to everything in `Splats`.
+
+    The K images of a stack follow each other in planes (K * H * W,).
+    """
 
     width: int
-    height: int
+    height: int  # of one image
     color: list[Float]  # sum w_i c_i + (1 - alpha) background; emissive ones: see `gof.render.light`
     alpha: Float  # sum w_i in [0, 1); alpha + transmittance = 1
     depth: Float | None  # sum w_i z_i, m, not normalised
@@ -74,6 +77,7 @@ def render_splats(
     pair_budget: int = PAIR_BUDGET,
     max_alpha: float = MAX_ALPHA,
     absgrad: bool = False,
+    stack: Stack | None = None,
     **options,
 ) -> Frame:
     """Draw Gaussians front to back (3D Gaussian Splatting's image formation), differentiable.
@@ -92,23 +96,19 @@ def render_splats(
         max_alpha: a Gaussian hides at most this part of what is behind it; where it is clamped its gradient is 0.
             gsplat's is 0.999; the nearer to 1, the more digits the gradient loses.
         absgrad: also leave `Frame.mean2d_absgrad`.
+        stack: draw K images of the camera's at once, each with Gaussians of its own; a background has K images, too.
         options: near, far, dilation, antialias, min_radius of `gof.render.project.ProjectionOptions`.
     Raises:
         DataFormatError: an argument out of range, named.
     """
     width, height = camera.width, camera.height
+    _require_channels(splats, background, emissive)
     if not MIN_ALPHA < max_alpha < 1:
         raise DataFormatError(f"'max_alpha' is {max_alpha}; it must be above 1/255 and below 1")
-    if background is not None and len(background) != len(splats.color):
-        raise DataFormatError(f"'background' has {len(background)} channels, 'color' has {len(splats.color)}")
-    if emissive and len(splats.color) != 3:
-        raise DataFormatError(
-            f"'color' has {len(splats.color)} channels; those of emissive Gaussians are red, green, blue"
-        )
-    trace = Trace()
+    trace, canvas = Trace(), Canvas(width, height, 1 if stack is None else stack.count)
     if len(splats) == 0:
         n_planes = len(splats.color) + int(depth) + int(dynamic is not None) + 1
-        planes = [dr.zeros(Float, width * height) for _ in range(n_planes)]
+        planes = [dr.zeros(Float, canvas.pictures * width * height) for _ in range(n_planes)]
         dr.enable_grad(planes)  # an empty set has nothing to differentiate, but a training loop may still call backward
         mean2d, radius = Array2f(Float(), Float()), Float()
     else:
@@ -123,13 +123,16 @@ def render_splats(
             raise DataFormatError(
                 f"'absgrad' with {len(channels)} channels, depth and dynamic counted; at most {MAX_CHANNELS} go with it"
             )
-        geometry = [p.mean_x, p.mean_y, p.a, p.b, p.c, p.log2_opacity]
         detached = dr.detach(p)
         mean2d, radius = Array2f(detached.mean_x, detached.mean_y), _radius(detached, width, height)
+        if stack is not None:
+            p = _place(p, stack, canvas)
+            detached = dr.detach(p)
+        geometry = [p.mean_x, p.mean_y, p.a, p.b, p.c, p.log2_opacity]
         dr.eval(geometry, channels, detached, radius)
         how = {"deterministic": deterministic, "pair_budget": pair_budget, "max_alpha": max_alpha, "absgrad": absgrad}
-        planes, alpha = blend(geometry, channels, detached, width, height, trace, **how)
-        planes = [_crop(plane, width, height) for plane in [*planes, alpha]]
+        planes, alpha = blend(geometry, channels, detached, canvas, trace, **how)
+        planes = [_crop(plane, canvas) for plane in [*planes, alpha]]
     *planes, alpha = planes
     dynamic_alpha = planes.pop() if dynamic is not None else None
     depth_sum = planes.pop() if depth else None
@@ -142,12 +145,20 @@ def render_splats(
     return Frame(width, height, color, alpha, depth_sum, dynamic_alpha, mean2d, radius, trace)
 
 
+def _require_channels(splats: Splats, background: list | None, emissive: bool) -> None:
+    if background is not None and len(background) != len(splats.color):
+        raise DataFormatError(f"'background' has {len(background)} channels, 'color' has {len(splats.color)}")
+    if emissive and len(splats.color) != 3:
+        raise DataFormatError(
+            f"'color' has {len(splats.color)} channels; those of emissive Gaussians are red, green, blue"
+        )
+
+
 def blend(
     geometry: list[Float],
     channels: list[Float],
     projected: Projected,
-    width: int,
-    height: int,
+    canvas: Canvas,
     trace: Trace,
     *,
     deterministic: bool = False,
@@ -161,7 +172,7 @@ def blend(
         geometry: mean_x, mean_y, a, b, c, log2_opacity, each (N,) (see `Projected`).
         channels: what to accumulate, each (N,).
         projected: where each Gaussian is, detached.
-        width, height: of the picture, px.
+        canvas: what is drawn on.
         trace: filled with counts now and the 2D gradient in the backward pass.
         deterministic: sum gradients in a fixed order; slower, and 16 bytes per pair and four values.
         pair_budget: pairs held at a time.
@@ -173,9 +184,15 @@ def blend(
     operation = DrJitBlend
     if kernels().name == "native":
         from gof.render.native.operation import NativeBlend as operation
-    settings = projected, width, height, trace, deterministic, pair_budget, max_alpha, absgrad
+    settings = projected, canvas, trace, deterministic, pair_budget, max_alpha, absgrad
     *planes, alpha = dr.custom(operation, geometry, channels, *settings)
     return planes, alpha
+
+
+def _place(p: Projected, stack: Stack, canvas: Canvas) -> Projected:
+    """Move the Gaussians down to where their pictures stand on the canvas."""
+    top = stack.picture * UInt(canvas.picture_rows)
+    return replace(p, mean_y=p.mean_y + Float(BLOCK * top), top=top)
 
 
 def _radius(p: Projected, width: int, height: int) -> Float:
@@ -185,13 +202,15 @@ def _radius(p: Projected, width: int, height: int) -> Float:
     return dr.select(inside, r, 0.0)
 
 
-def _crop(plane: Float, width: int, height: int) -> Float:
-    """Cut a padded plane (whole blocks) to the image."""
-    if len(plane) == width * height:
+def _crop(plane: Float, canvas: Canvas) -> Float:
+    """Cut a padded plane (whole blocks) to its images."""
+    width, height, pictures = canvas
+    if len(plane) == pictures * width * height:
         return plane
-    i, padded = dr.arange(UInt, width * height), -(-width // BLOCK) * BLOCK
+    i = dr.arange(UInt, pictures * width * height)
     row = i // width
-    return dr.gather(Float, plane, row * padded + (i - row * width), mode=dr.ReduceMode.NoConflicts)
+    place = (row + row // height * (-height % BLOCK)) * (canvas.columns * BLOCK) + (i - row * width)
+    return dr.gather(Float, plane, place, mode=dr.ReduceMode.NoConflicts)
 
 
 def splats_at(gaussians: TransientGaussians, camera: Camera, time_s: float, *, shutter: str = "exact") -> Splats:

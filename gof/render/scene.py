@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import drjit as dr
 
 from gof.core.errors import DataFormatError, NonFiniteError
-from gof.render.backend import Array3f, Array4f, Bool, Float, floats, opaque
+from gof.render.backend import Array3f, Array4f, Bool, Float, UInt, floats, opaque
 
 MAX_CHANNELS = 8
 MIN_T_SIGMA = 1e-6  # s
@@ -62,6 +63,17 @@ class Splats:
             ("opacity", [self.opacity]),
             ("color", self.color),
         )
+
+
+class Stack(NamedTuple):
+    """Several pictures by one camera, drawn at once: they stand one below the other in every plane.
+
+    Args:
+        count: K, of the pictures.   picture: (N,) the one, below K, in which each Gaussian is; no other shows it.
+    """
+
+    count: int
+    picture: UInt
 
 
 def columns(array, kind=list):

@@ -8,6 +8,7 @@ import pytest
 
 from gof.core.gaussians import TransientGaussians
 from gof.reconstruct import optimize
+from gof.reconstruct.batches import sort_by_picture
 from gof.reconstruct.parameters import GROUP, alight, per_gaussian, splats, to_raw
 from gof.render import render_splats
 from gof.render.adam import Adam
@@ -37,7 +38,7 @@ def short_lived(n=500, lives=0.4) -> TransientGaussians:
 def test_whoever_can_be_seen_is_among_the_rows(row_time_s, time_s):
     flame = short_lived()
     camera = replace(arc(1, width=48, height=96, focal_px=110.0)[0], row_time_s=row_time_s)
-    rows = alight(to_raw(flame, VOXEL, 0.0), VOXEL, time_s, camera)
+    rows, _, _ = sort_by_picture(alight(to_raw(flame, VOXEL, 0.0), VOXEL, [time_s], camera))
     if row_time_s == 0:
         opacity = flame.opacity * np.exp(-0.5 * ((time_s - flame.t_mu) / flame.t_sigma) ** 2)
         assert set(np.flatnonzero(opacity >= 1 / 255)) <= set(rows.tolist())
@@ -55,7 +56,8 @@ def test_whoever_can_be_seen_is_among_the_rows(row_time_s, time_s):
 def test_a_set_smaller_than_a_group():
     flame = short_lived(5)
     camera = arc(1, width=48, height=96, focal_px=110.0)[0]
-    assert alight(to_raw(flame, VOXEL, 0.0), VOXEL, 1e4, camera).tolist() == [0, 1, 2, 3, 4]
+    dark = alight(to_raw(flame, VOXEL, 0.0), VOXEL, [1e4], camera)
+    assert not dark.any() and sort_by_picture(dark)[0].tolist() == [0, 1, 2, 3, 4]
 
 
 def test_another_number_of_them_compiles_nothing():
@@ -64,7 +66,7 @@ def test_another_number_of_them_compiles_nothing():
     with dr.scoped_set_flag(dr.JitFlag.KernelHistory, True):
         for k in range(6):
             dr.kernel_history_clear()
-            rows = alight(optimizer, VOXEL, 1.5 * k * DT, camera)
+            rows, _, _ = sort_by_picture(alight(optimizer, VOXEL, [1.5 * k * DT], camera))
             seen = splats(optimizer.only(per_gaussian(optimizer), rows), VOXEL, 1.5 * k * DT, camera)
             dr.backward(sum(dr.sum(dr.square(c)) for c in render_splats(seen, camera).color))
             optimizer.step()
@@ -83,11 +85,16 @@ def one_thread():
     dr.set_thread_count(threads)
 
 
-def test_rows_of_several_views_are_taken_once_in_order():
-    first, second = np.array([0, 1, 7], np.uint32), np.array([1, 2, 9], np.uint32)
-    both = optimize.united([first, second], 10)
-    np.testing.assert_array_equal(both, [0, 1, 2, 7, 9])
-    assert both.dtype == np.uint32 and optimize.united([first], 10) is first
+def test_gaussians_of_several_pictures_are_taken_in_order_and_again_where_they_are_in_two():
+    alight = np.zeros((3, 50), bool)
+    alight[0, [1, 2, 20]], alight[1, [2, 3, 49]], alight[2, [2, 4]] = True, True, True
+    rows, again, picture = sort_by_picture(alight)
+    np.testing.assert_array_equal(rows, [*range(32), 48, 49])  # groups of 16, the last cut
+    np.testing.assert_array_equal(rows[again], [2, 2])
+    np.testing.assert_array_equal(picture[len(rows) :], [1, 2])
+    first = dict(zip(rows.tolist(), picture.tolist(), strict=False))
+    assert [first[row] for row in (1, 2, 20, 3, 49, 4)] == [0, 0, 0, 1, 1, 2]
+    assert {array.dtype for array in (rows, again, picture)} == {np.dtype(np.uint32)}
 
 
 @pytest.mark.skipif(BACKEND == "cuda", reason="a GPU adds gradients in another order each time, and Adam magnifies it")
@@ -101,14 +108,15 @@ def test_a_reconstruction_is_the_same_as_with_all_in_every_step(scene, kernels, 
     shares, shown = [], optimize.Flame.shown
 
     def counted(flame, *view):
-        raw = shown(flame, *view)
-        shares.append(dr.width(raw["t_mu"]) / dr.width(flame.optimizer["t_mu"]))
-        return raw
+        found = shown(flame, *view)
+        shares.append(dr.width(found.raw["t_mu"]) / dr.width(flame.optimizer["t_mu"]))
+        return found
 
     small = {"iterations": 40, "gaussians": 1500, "voxels": 24, "scene": scene}
+    monkeypatch.setattr(optimize, "count_together", lambda *_: 1)
     monkeypatch.setattr(optimize.Flame, "shown", counted)
     part = TransientGaussians.load(reconstruct(folder, tmp_path / "part", **small))
-    monkeypatch.setattr(optimize.Flame, "shown", lambda flame, *_: flame.optimizer)
+    monkeypatch.setattr(optimize.Flame, "shown", lambda flame, *_: optimize.Shown(flame.optimizer, None))
     every = TransientGaussians.load(reconstruct(folder, tmp_path / "every", **small))
     assert np.mean(shares) < 0.9, "otherwise hardly anything was left out"
     for name in ("position", "velocity", "t_mu", "t_sigma", "scale", "rotation", "opacity", "color"):

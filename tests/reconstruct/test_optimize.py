@@ -17,6 +17,7 @@ from gof.dataset.plates import background
 from gof.evaluate.image import psnr
 from gof.footage.flame_mask import flame_mask
 from gof.reconstruct import ablations, optimize
+from gof.reconstruct.batches import Batch, TrainingPictures
 from gof.reconstruct.curve import Curve, HeldOutScores
 from gof.reconstruct.heldout import HeldOut
 from gof.reconstruct.methods import OURS, PAPER
@@ -289,7 +290,7 @@ def test_light_beyond_white_is_free_where_a_camera_shows_white_and_nowhere_else(
     image = np.full_like(seen.image, 0.5)
     image[..., : image.shape[3] // 2, :] = 1.0
     seen = replace(seen, image=image)
-    pictures = optimize.TrainingPictures(seen, Windows.whole(seen.cameras))
+    pictures = TrainingPictures(seen, Windows.whole(seen.cameras))
     height, width = image.shape[2:4]
     gradients, schedule = {}, optimize.Schedule(10, OURS.rates, gas_apart=True)
     for clipped in (True, False):
@@ -298,7 +299,7 @@ def test_light_beyond_white_is_free_where_a_camera_shows_white_and_nowhere_else(
             dr.enable_grad(plane)
         nothing = dr.zeros(Float, height * width)
         view = SimpleNamespace(color=drawn, share=nothing)
-        dr.backward(optimize._loss(view, pictures, 0, 0, schedule, clipped=clipped))
+        dr.backward(optimize._loss(view, pictures, Batch(0, (0,), 0), schedule, clipped=clipped))
         gradients[clipped] = np.abs([dr.grad(plane).numpy() for plane in drawn]).reshape(3, height, width)
     inner = width // 2 - 6  # SSIM's window reaches over the border
     assert not gradients[True][..., :inner].any() and gradients[False][..., :inner].all()

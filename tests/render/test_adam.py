@@ -6,7 +6,7 @@ import pytest
 dr = pytest.importorskip("drjit")
 
 from gof.render.adam import Adam  # noqa: E402
-from gof.render.backend import Array3f, Float, floats  # noqa: E402
+from gof.render.backend import Array2f, Array3f, Float, floats  # noqa: E402
 from gof.render.scene import columns  # noqa: E402
 
 pytestmark = pytest.mark.usefixtures("kernels")
@@ -90,6 +90,28 @@ def test_rows_that_come_and_go_between_steps_of_some_rows():
     optimizer["w"] = floats(np.array([1.0, 2.0]))  # as a checkpoint does
     pull(1)
     np.testing.assert_allclose(optimizer["w"].numpy(), [1, 1.9], atol=1e-4)
+
+
+def test_rows_that_are_there_again_add_their_gradients():
+    """As if the sum had come once; the second row three times, with 1, 2 and -0.5."""
+    one, two = (
+        Adam(lr=0.1, params={"w": columns(np.arange(10.0).reshape(5, 2), Array2f)}, mask_updates=True) for _ in "12"
+    )
+    rows = np.array([0, 2, 3], np.uint32)
+    for _ in range(3):
+        part = one.only(["w"], rows, np.array([1, 0, 1], np.uint32))["w"]
+        assert dr.width(part) == 6
+        np.testing.assert_array_equal(part.x.numpy()[3:], part.x.numpy()[[1, 0, 1]])
+        pulls = np.array([0, 1, 3, 2, 0, -0.5])
+        dr.backward(dr.sum(part.x * floats(pulls)) - dr.sum(part.y * floats(2 * pulls)))
+        one.step()
+        part = two.only(["w"], rows)["w"]
+        pulls = np.array([0, 2.5, 3])
+        dr.backward(dr.sum(part.x * floats(pulls)) - dr.sum(part.y * floats(2 * pulls)))
+        two.step()
+    for found, wanted in zip(one["w"], two["w"], strict=True):
+        np.testing.assert_allclose(found.numpy(), wanted.numpy(), atol=1e-6)
+    np.testing.assert_array_equal(one["w"].x.numpy()[[0, 1, 4]], [0, 2, 8])
 
 
 def test_some_rows_need_an_optimiser_that_leaves_the_others():

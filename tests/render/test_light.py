@@ -7,11 +7,11 @@ import numpy as np
 import pytest
 
 from gof.core.colour import add_light as add_light_plainly
-from gof.core.colour import srgb_to_linear
+from gof.core.colour import linear_to_srgb, srgb_to_linear
 from gof.core.errors import DataFormatError
 from gof.render import Splats, render, render_splats
 from gof.render.backend import floats
-from gof.render.light import add_light, sum_light
+from gof.render.light import add_light, show_before, sum_light, to_display
 from gof.render.rasterizer import splats_at
 from tests.conftest import random_gaussians
 from tests.render.scenes import camera
@@ -80,6 +80,34 @@ def test_gradient_equals_central_differences():
         step[k] = 1e-6
         wanted = (loss(values + step) - loss(values - step)) / 2e-6
         np.testing.assert_allclose(dr.grad(plane).numpy(), wanted, rtol=2e-3, atol=2e-3)
+
+
+@pytest.mark.parametrize("pictures", [1, 3])
+def test_pictures_before_one_plate_are_each_before_it(pictures):
+    """Values by the twin; gradients by those of `add_light`, which central differences hold: a plate's add up."""
+    rng = np.random.default_rng(5)
+    drawn = [some(seed=k)[:2] for k in range(pictures)]
+    color, alpha = (np.concatenate(values) for values in zip(*drawn, strict=True))
+    plate = srgb_to_linear(some(seed=9)[2])
+    weight = rng.normal(size=color.shape).astype(np.float32)
+
+    def differentiated(show, behind):
+        inputs = [*planes(color), floats(alpha), *planes(behind)]
+        dr.enable_grad(inputs)
+        shown = show(inputs[:3], inputs[3], inputs[4:])
+        dr.backward(sum(dr.sum(plane * floats(w)) for plane, w in zip(shown, weight.T, strict=True)))
+        return numbers(shown), [dr.grad(plane).numpy() for plane in inputs]
+
+    shown, found = differentiated(lambda c, a, b: show_before(c, a, b, pictures), plate)
+    again = np.tile(plate, (pictures, 1))
+    np.testing.assert_allclose(shown, add_light_plainly(color, alpha, linear_to_srgb(again)), atol=5e-6)
+    one_by_one = lambda c, a, b: [to_display(light) for light in sum_light(c, a, b)]  # noqa: E731
+    _, wanted = differentiated(one_by_one, again)
+    for k in range(4):
+        np.testing.assert_allclose(found[k], wanted[k], rtol=1e-5, atol=1e-6)
+    for k in range(4, 7):
+        np.testing.assert_allclose(found[k], wanted[k].reshape(pictures, -1).sum(0), rtol=1e-4, atol=1e-5)
+    assert all(np.isfinite(gradient).all() for gradient in found)
 
 
 def _linear(x):

@@ -11,8 +11,8 @@ from gof.core.gaussians import TransientGaussians
 dr = pytest.importorskip("drjit")
 
 from gof.render import Splats, reference, render, render_splats, require_finite_splats, transient_state  # noqa: E402
-from gof.render.backend import Array3f, Float, floats  # noqa: E402
-from gof.render.scene import columns  # noqa: E402
+from gof.render.backend import Array3f, Float, floats, whole_numbers  # noqa: E402
+from gof.render.scene import Stack, columns  # noqa: E402
 from tests.render.drawing import gradients, image, loss_weights, splats, weighted_sum  # noqa: E402
 from tests.render.scenes import camera, found_once, gaussians  # noqa: E402
 
@@ -52,6 +52,53 @@ def test_image_equals_float64_twin(n, size, wh, channels, antialias):
         error = np.abs(got - want)
         assert error.max() < 1.7 / 255 and (error > 2e-5).mean() < 2e-3
     np.testing.assert_allclose(frame.dynamic_alpha.numpy(), frame.alpha.numpy(), atol=1e-6)
+
+
+@pytest.mark.parametrize("wh", [(50, 37), (32, 24), (3, 2)])
+@pytest.mark.parametrize("pair_budget", [1 << 24, 200])
+def test_a_stack_is_its_pictures_each_alone(wh, pair_budget):
+    """Gaussians of all sizes, many across the edges, in mixed order: none is in another's picture."""
+    cam, g, pictures = camera(*wh), gaussians(240, 4, 0.15, spread=0.6), 3
+    picture = np.random.default_rng(2).integers(0, pictures, 240).astype(np.uint32)
+    picture[picture == 1] = 2 * (np.arange((picture == 1).sum()) % 2)  # and one picture is empty
+    backgrounds = np.random.default_rng(0).random((pictures, cam.height, cam.width, 3)).astype(np.float32)
+    weights = np.random.default_rng(3).normal(size=backgrounds.shape).astype(np.float32)
+
+    def weighed(frame, weight):
+        return sum(dr.sum(c * floats(weight[..., k])) for k, c in enumerate(frame.color))
+
+    planes = [floats(backgrounds[..., k]) for k in range(3)]
+    s = splats(g, grad=True)
+    stack = Stack(pictures, whole_numbers(picture))
+    frame = render_splats(s, cam, planes, depth=True, stack=stack, pair_budget=pair_budget)
+    dr.backward(weighed(frame, weights))
+    found = gradients(s)
+    color = np.stack([c.numpy() for c in frame.color], -1).reshape(backgrounds.shape)
+    alpha, depth = (plane.numpy().reshape(backgrounds.shape[:3]) for plane in (frame.alpha, frame.depth))
+    for k in range(pictures):
+        own = {name: value[picture == k] for name, value in g.items()}
+        for got, want in zip(
+            (color[k], alpha[k], depth[k]), reference.render(*own.values(), cam, backgrounds[k]), strict=True
+        ):
+            error = np.abs(got - want)
+            assert error.max() < 1.7 / 255 and (error > 2e-5).mean() < 3e-3
+        if not len(own["opacity"]):
+            continue
+        lone = splats(own, grad=True)
+        alone = render_splats(lone, cam, [floats(backgrounds[k, ..., c]) for c in range(3)])
+        dr.backward(weighed(alone, weights[k]))
+        for name, gradient in gradients(lone).items():
+            np.testing.assert_allclose(found[name][picture == k], gradient, rtol=2e-4, atol=2e-4, err_msg=name)
+        np.testing.assert_allclose(frame.radius.numpy()[picture == k], alone.radius.numpy(), rtol=1e-6)
+
+
+def test_an_empty_stack_is_its_backgrounds():
+    cam = camera(6, 5)
+    nothing = splats({name: value[:0] for name, value in gaussians(1).items()})
+    planes = [floats(np.arange(2 * 30) / 60) for _ in range(3)]
+    frame = render_splats(nothing, cam, planes, stack=Stack(2, whole_numbers(np.zeros(0))))
+    np.testing.assert_array_equal(frame.color[0].numpy(), planes[0].numpy())
+    assert len(frame.alpha) == 60 and not frame.alpha.numpy().any()
 
 
 @pytest.mark.parametrize("antialias", [False, True])

@@ -30,8 +30,10 @@ def _step(value, m, v, gradient, new_value, new_m, new_v, masked, rate, beta_1, 
 
 
 @kernel
-def _step_rows(value, m, v, gradient, rows, runs, rate, beta_1, beta_2, epsilon):
-    """In place, what has gradient 0 stays; rows[runs[r]:runs[r + 1]] are neighbours."""
+def _step_rows(value, m, v, gradient, rows, runs, again, rate, beta_1, beta_2, epsilon):
+    """In place, what has gradient 0 stays; rows[runs[r]:runs[r + 1]] are neighbours, `again` those that follow them."""
+    for k in range(len(again)):
+        gradient[again[k]] += gradient[len(rows) + k]
     for r in range(len(runs) - 1):
         k = runs[r]
         i = np.int64(rows[k])
@@ -80,20 +82,32 @@ class RowRuns:
         return cls(index, np.concatenate([[0], np.flatnonzero(np.diff(index) != 1) + 1, [len(index)]]))
 
 
-def take(columns: list[np.ndarray], rows: RowRuns) -> list[Float]:
-    """Return these rows of K columns (N,)."""
-    out = [dr.empty(Float, len(rows.index)) for _ in columns]
+def take(columns: list[np.ndarray], rows: RowRuns, again: np.ndarray) -> list[Float]:
+    """Return these rows of K columns (N,), and behind them those at the places `again` among them."""
+    count = len(rows.index)
+    out = [dr.empty(Float, count + len(again)) for _ in columns]
     tasks = list(zip(columns, [column.numpy() for column in out], strict=True))
-    run(lambda k: _take(tasks[k][0], rows.index, rows.runs, tasks[k][1]), [(k,) for k in range(len(tasks))])
+
+    def copy(k: int) -> None:
+        column, taken = tasks[k]
+        _take(column, rows.index, rows.runs, taken)
+        taken[count:] = taken[again]
+
+    run(copy, [(k,) for k in range(len(tasks))])
     return out
 
 
-def adam_rows(old, rows: RowRuns, gradients, rate: float, beta_1: float, beta_2: float, epsilon: float) -> None:
-    """One step of some rows of a parameter of K columns (N,), in place; rows with gradient 0 stay.
+def adam_rows(parameters, rows: RowRuns, again: np.ndarray) -> None:
+    """One step of some rows of parameters, in place; rows with gradient 0 stay.
 
     Args:
-        old: its value and two moments, K columns each.   gradients: of the rows, K columns.
+        parameters: of each, its value and two moments, K columns (N,) each; the gradients of the rows, and behind them
+            of those `again`, K columns, where the sums are written; and rate, both betas and epsilon as `adam`.
+        again: see `take`.
     """
-    tasks = list(zip(*old, [g.numpy() for g in gradients], strict=True))
-    constants = [np.float32(x) for x in (rate, beta_1, beta_2, epsilon)]
-    run(lambda k: _step_rows(*tasks[k], rows.index, rows.runs, *constants), [(k,) for k in range(len(tasks))])
+    tasks = []
+    for old, gradients, constants in parameters:
+        numbers = [np.float32(x) for x in constants]
+        columns = zip(*old, [g.numpy() for g in gradients], strict=True)
+        tasks += [(*column, rows.index, rows.runs, again, *numbers) for column in columns]
+    run(lambda k: _step_rows(*tasks[k]), [(k,) for k in range(len(tasks))])

@@ -1,4 +1,4 @@
-"""L1 + SSIM and its derivative in one sweep down a channel of the picture; see `gof.render.loss`.
+"""L1 + SSIM and its derivative in one sweep down a channel of a picture; see `gof.render.loss`.
 
 Three stages follow each other at the distance of the window's reach: take in a row; SSIM of a row and its derivatives
 with respect to three local moments, blurred along the row at once; the gradient of a row, from eleven rows of those.
@@ -222,18 +222,20 @@ def l1_ssim_rows(
 
 
 class NativeTarget:
-    """A ground-truth picture (H, W, D) float32, its moments, and the weight of each pixel, rows padded with zeros."""
+    """Ground-truth pictures (K, H, W, D) float32, their moments, and each pixel's weight, rows padded with zeros.
+
+    truths: those pictures, their blurred values and their blurred squares, (D, K, height * stride) each.  weight: (K,
+    height * stride), or one row for all (K, stride) and weight_stride 0.
+    """
 
     def __init__(self, image: np.ndarray, mask: np.ndarray | None):
-        self.height, self.width, self.channels = image.shape
+        self.pictures, self.height, self.width, self.channels = image.shape
         self.stride = -(-self.width // LANES) * LANES
-        padded = np.zeros((self.channels, self.height, self.stride), np.float32)
-        padded[..., : self.width] = np.moveaxis(image, -1, 0)
-        self.truth = list(padded.reshape(self.channels, -1))
-        self.moments = [(np.empty_like(t), np.empty_like(t)) for t in self.truth]
-        shape = self.height, self.stride
-        run(moments, [(truth, *shape, *found) for truth, found in zip(self.truth, self.moments, strict=True)])
-        even = np.full((1, self.width), 1 / image.size)
+        truth = self._padded(np.moveaxis(image, -1, 0))
+        self.truths = truth, np.empty_like(truth), np.empty_like(truth)
+        each = zip(*(array.reshape(-1, truth.shape[-1]) for array in self.truths), strict=True)
+        run(moments, [(one, self.height, self.stride, *found) for one, *found in each])
+        even = np.full((self.pictures, 1, self.width), 1 / image.size)
         self.weight = self._padded(even if mask is None else mask / (np.sum(mask, dtype=np.float64) * self.channels))
         self.weight_stride = 0 if mask is None else self.stride
 
@@ -241,8 +243,22 @@ class NativeTarget:
     def operation(self) -> type[dr.CustomOp]:
         return NativeLoss
 
+    def parts(self) -> list[tuple[int, int, int, int]]:
+        """Return channel, picture, first row and end row of each part of the work.
+
+        Parts of one picture overlap by four times the window's reach: few of them, and where there are pictures enough
+        to keep all threads busy, none.
+        """
+        threads = thread_count()
+        split = threads if self.pictures == 1 else -(-2 * threads // (self.channels * self.pictures))
+        rows = even_parts(self.height, split)
+        return [(c, k, *part) for c in range(self.channels) for k in range(self.pictures) for part in rows]
+
     def _padded(self, rows: np.ndarray) -> np.ndarray:
-        return np.pad(rows.astype(np.float32), ((0, 0), (0, self.stride - self.width))).reshape(-1)
+        """Return (..., rows, width) as (..., rows * stride) float32, each row followed by zeros."""
+        padded = np.zeros((*rows.shape[:-1], self.stride), np.float32)
+        padded[..., : self.width] = rows
+        return padded.reshape(*rows.shape[:-2], -1)
 
 
 class NativeLoss(dr.CustomOp):
@@ -251,17 +267,17 @@ class NativeLoss(dr.CustomOp):
     def eval(self, image, target, ssim_weight, square_weight):
         t, planes = target, [dr.detach(Float(channel)) for channel in image]
         dr.eval(planes)
-        self.gradient = [dr.empty(Float, t.height * t.width) for _ in planes]
-        views = [plane.numpy() for plane in planes], [plane.numpy() for plane in self.gradient]
-        totals = np.zeros((t.channels, t.height))
+        self.gradient = [dr.empty(Float, len(plane)) for plane in planes]
+        drawn, gradient = ([plane.numpy().reshape(t.pictures, -1) for plane in of] for of in (planes, self.gradient))
+        totals = np.zeros((t.channels, t.pictures, t.height))
 
-        def sweep(c, begin, end):
-            truth = t.truth[c], *t.moments[c], t.weight, t.weight_stride
-            parts = np.float32(ssim_weight), np.float32(square_weight)
-            l1_ssim_rows(begin, end, views[0][c], t.width, t.stride, *truth, *parts, totals[c], views[1][c])
+        def sweep(c, k, begin, end):
+            truth = *(array[c, k] for array in t.truths), t.weight[k], t.weight_stride
+            weights = np.float32(ssim_weight), np.float32(square_weight)
+            out = totals[c, k], gradient[c][k]
+            l1_ssim_rows(begin, end, drawn[c][k], t.width, t.stride, *truth, *weights, *out)
 
-        # Parts of a channel overlap by four times the window's reach: few of them.
-        run(sweep, [(c, *rows) for c in range(t.channels) for rows in even_parts(t.height, thread_count())])
+        run(sweep, t.parts())
         return Float(float(totals.sum()))
 
     def backward(self):

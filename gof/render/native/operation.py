@@ -47,23 +47,11 @@ class _Band:
 class NativeBlend(dr.CustomOp):
     """See `gof.render.rasterizer.blend`."""
 
-    def eval(
-        self,
-        geometry,
-        channels,
-        projected,
-        width,
-        height,
-        trace,
-        deterministic,
-        pair_budget,
-        max_alpha,
-        absgrad,
-    ):
+    def eval(self, geometry, channels, projected, canvas, trace, deterministic, pair_budget, max_alpha, absgrad):
         self.trace, self.deterministic = trace, deterministic
         self.max_alpha, self.absgrad = np.float32(max_alpha), absgrad
         self.n, self.n_channels = len(geometry[0]), len(channels)
-        self._prepare(geometry + channels, projected, width, height)
+        self._prepare(geometry + channels, projected, canvas)
         bands = self._plan(pair_budget)
         planes = [dr.empty(Float, self.rows * self.columns * BLOCK * BLOCK) for _ in range(self.n_channels + 1)]
         # Views now: of an array that something else refers to Dr.Jit hands out a copy.
@@ -76,14 +64,16 @@ class NativeBlend(dr.CustomOp):
         self.bands = [band] if len(bands) == 1 else bands  # several: binned again in the backward pass
         return planes
 
-    def _prepare(self, columns, projected, width, height) -> None:
+    def _prepare(self, columns, projected, canvas) -> None:
         """Make the records, the shapes, and the list of drawn Gaussians by depth."""
-        self.columns, self.rows = -(-width // BLOCK), -(-height // BLOCK)
+        self.columns, self.rows = canvas.columns, canvas.rows
         if max(self.columns, self.rows) > MOST_BLOCKS:
-            raise DataFormatError(f"a picture of {width}x{height} is too large: {MOST_BLOCKS * BLOCK} pixels a side")
-        ellipse = ellipses(projected, self.columns, self.rows)
-        rows = UInt(ellipse.first_row) | (UInt(ellipse.end_row) << 16)
-        shape = [ellipse.slope, ellipse.shrink, ellipse.half_width2, dr.reinterpret_array(Float, rows)]
+            many = f"{canvas.pictures} pictures" if canvas.pictures > 1 else "a picture"
+            size = f"{canvas.width}x{canvas.height}"
+            raise DataFormatError(f"{many} of {size} is too large: {MOST_BLOCKS * BLOCK} pixels a side")
+        ellipse = ellipses(projected, canvas)
+        spans = UInt(ellipse.first_row) | (UInt(ellipse.end_row) << 16)
+        shape = [ellipse.slope, ellipse.shrink, ellipse.half_width2, dr.reinterpret_array(Float, spans)]
         depth = dr.reinterpret_array(UInt, projected.depth)
         self.memory = [
             scattered([dr.detach(Float(c)) for c in columns], lists.RECORD),
