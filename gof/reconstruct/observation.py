@@ -265,8 +265,8 @@ def observe(
     for c, view in enumerate(views):
         h, w = view.static.shape[:2]
         static[c, :h, :w], plate[c, :h, :w], mask[:, c, :h, :w] = view.static, view.plate, view.mask
-        for f, one in enumerate(view.image):
-            intensity[f, c, :h, :w] = light_above(one, view.plate).mean(-1)
+        rise = map_on_cores(lambda one, plate=view.plate: light_above(one, plate).mean(-1), view.image)
+        intensity[:, c, :h, :w] = rise
         beyond.append((np.arange(height)[:, None] >= h) | (np.arange(width) >= w))
     allowed = mask
     if method.flow_masks:

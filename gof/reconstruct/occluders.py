@@ -13,6 +13,7 @@ import numpy as np
 
 from gof.core.cameras import Camera
 from gof.core.errors import DataFormatError
+from gof.host.threads import map_on_cores
 from gof.reconstruct.tomography import tomography
 from gof.reconstruct.voxels import carve
 
@@ -38,8 +39,8 @@ def blocked_views(cameras: list[Camera], masks: np.ndarray, intensity: np.ndarra
     frames = np.unique(np.linspace(0, len(masks) - 1, FRAMES).round().astype(int))
     blocked = np.zeros(masks.shape[1:], bool)
     for _ in range(PASSES if len(cameras) > 2 else 0):
-        views = [_blocked(c, cameras, masks, intensity[frames], masks[frames], blocked) for c in range(len(cameras))]
-        blocked = np.stack(views)
+        seen = cameras, masks, intensity[frames], masks[frames], blocked
+        blocked = np.stack(map_on_cores(lambda c, seen=seen: _blocked(c, *seen), range(len(cameras))))
         if not blocked.any():
             break
     return blocked

@@ -84,14 +84,14 @@ def _count_colors(observation: Observation) -> np.ndarray:
     every, unclipped, clear = counts = np.zeros((3, CELLS, CELLS))
     for f, c in delivered[:: -(-len(delivered) // MOST_PICTURES) or 1]:
         flame = observation.mask[f, c]
-        brightest = observation.image[f, c][flame].max(1)
-        light = light_above(observation.image[f, c], observation.plate[c])[flame]
-        outshines = light.max(1) > OUTSHINES * srgb_to_linear(observation.plate[c][flame]).max(1)
+        seen, plate = observation.image[f, c][flame], observation.plate[c][flame]
+        brightest, light = seen.max(1), light_above(seen, plate)
+        outshines = light.max(1) > OUTSHINES * srgb_to_linear(plate).max(1)
         shown = linear_to_srgb(light)
         lit = shown.max(1) > FAINT
         kinds = (every, lit), (unclipped, lit & (brightest < CLIPPED)), (clear, lit & (brightest < BRIGHT) & outshines)
         for kind, counted in kinds:
-            np.add.at(kind, tuple(_cells(shown[counted]).T), 1)
+            kind += np.bincount(_cells(shown[counted]) @ (CELLS, 1), minlength=CELLS**2).reshape(kind.shape)
     return counts
 
 

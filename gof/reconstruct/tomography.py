@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from scipy.sparse import csr_matrix
+from scipy.sparse import csc_matrix, csr_matrix
 
 from gof.reconstruct.voxels import FlameVoxels, share_among_pixels
 
@@ -20,8 +20,6 @@ DIMMEST, FACTORS = 1e-3, (0.05, 4.0)  # of the brightest, below which a mean tel
 NEAR = 3.0  # voxels, std-dev: light so near to each other has its middle at the same depth
 OUTLINE = 0.15  # of the light around it: what is darker is outside a lick's outline
 FAINTEST = 40.0  # squared distances in std-devs beyond this are all the same; nothing in the hull is ruled out
-ONE_SIDE = 0.2  # by which the rays' first principal value exceeds the second: cameras less far around see all sides
-STEEP = np.sin(np.deg2rad(60))  # of the cameras' common direction
 DARK = 1e-300  # light, below which a pixel explains nothing: what divides by less may overflow
 
 
@@ -117,7 +115,7 @@ def turn_around(voxels: FlameVoxels, emission: np.ndarray) -> np.ndarray:
         radius = np.arange(size[2])
         whole = 2 * np.pi * np.where(radius > 0, radius, 1 / 8)  # voxels of a ring; the innermost has a diameter of one
         mean *= np.sqrt(within / smoothed(np.broadcast_to(whole, size)))
-    ahead = find_common_ray(voxels)
+    ahead = voxels.common_ray
     if ahead is None:
         return mean
     level = ahead[:2] / np.hypot(*ahead[:2])
@@ -167,7 +165,7 @@ def round_flame(voxels: FlameVoxels, emission: np.ndarray) -> np.ndarray:
     Args:
         emission: (V,) >= 0, that reproduces the views.
     """
-    ahead = find_common_ray(voxels)
+    ahead = voxels.common_ray
     if ahead is None:
         return np.ones(len(emission))
     from scipy.ndimage import gaussian_filter  # here: it takes long to load
@@ -205,23 +203,12 @@ def cut_tails(voxels: FlameVoxels, emission: np.ndarray, views: list[_PooledView
     dense[cells] = emission / max(emission.max(), DARK)
     coarse = gaussian_filter(dense, AROUND, mode="constant")[cells]
     bright = np.zeros(len(coarse), bool)
-    for share, _ in views:
+    for share, back, weight, _ in views:
         (seen,) = np.nonzero(np.diff(share.indptr))
         brightest = np.zeros(share.shape[0])
         brightest[seen] = np.maximum.reduceat(coarse[share.indices], share.indptr[seen]) if len(seen) else 0
-        bright |= share.sum(axis=0).A1 * coarse > tail * (share.T @ brightest)
+        bright |= weight * coarse > tail * (back @ brightest)
     return np.where(bright, emission, 0)
-
-
-def find_common_ray(voxels: FlameVoxels) -> np.ndarray | None:
-    """Return (3,) the cameras' common direction; None where they stand all around, or look down steeply."""
-    rays = np.cross(voxels.jacobian[:, :, 0], voxels.jacobian[:, :, 1])
-    rays = np.where(np.isfinite(rays), rays, 0).sum(1)  # NaN: a voxel beside or behind the camera
-    length = np.linalg.norm(rays, axis=1)
-    rays = rays[length > 0] / length[length > 0, None]
-    common, axes = np.linalg.eigh(rays.T @ rays / max(len(rays), 1))
-    ahead = axes[:, 2]
-    return None if common[2] - common[1] < ONE_SIDE or abs(ahead[2]) > STEEP else ahead
 
 
 def _inner_radius(shape: np.ndarray) -> np.ndarray:
@@ -239,6 +226,8 @@ def _inner_radius(shape: np.ndarray) -> np.ndarray:
 
 class _PooledView(NamedTuple):
     share: csr_matrix  # (P, V): how much of each voxel every pixel has
+    back: csc_matrix  # (V, P) the same, from the voxels
+    weight: np.ndarray  # (V,) how much of each all pixels have
     light: np.ndarray  # (P,) of every pixel
 
 
@@ -258,16 +247,17 @@ def _pool_view(voxels: FlameVoxels, c: int, picture: np.ndarray, seen: np.ndarra
     size = np.maximum(np.round(np.array(picture.shape[::-1]) / pixels_per_voxel), 1).astype(int)
     pooled = cv2.resize(picture.astype(np.float64), size.tolist(), interpolation=cv2.INTER_AREA)
     place = np.where(seen[:, None], voxels.pixel[c] * (size / picture.shape[::-1]), np.nan)
-    return _PooledView(share_among_pixels(place, *size), pooled.ravel())
+    share = share_among_pixels(place, *size)
+    return _PooledView(share, share.T, share.sum(axis=0).A1, pooled.ravel())
 
 
 def _maximise(emission: np.ndarray, views: list[_PooledView], iterations: int) -> np.ndarray:
-    count = np.maximum(sum(view.share.sum(axis=0).A1 for view in views), np.finfo(np.float64).tiny)
+    count = np.maximum(sum(view.weight for view in views), np.finfo(np.float64).tiny)
     for _ in range(iterations):
         ratio = np.zeros_like(emission)
         for view in views:
             projected = view.share @ emission
             # A pixel without any shining voxel explains nothing and asks for nothing.
-            ratio += view.share.T @ np.where(projected > DARK, view.light / np.maximum(projected, DARK), 0)
+            ratio += view.back @ np.where(projected > DARK, view.light / np.maximum(projected, DARK), 0)
         emission = emission * ratio / count
     return emission

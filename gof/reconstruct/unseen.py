@@ -23,7 +23,7 @@ from gof.core.cameras import Camera
 from gof.core.colour import srgb_to_linear
 from gof.host.threads import map_on_cores
 from gof.reconstruct.observation import Observation
-from gof.reconstruct.tomography import TURNS, find_common_ray, find_emission
+from gof.reconstruct.tomography import TURNS, find_emission
 from gof.reconstruct.voxels import FlameVoxels, carve, share_among_pixels
 from gof.render.bins import BLOCK
 
@@ -176,7 +176,7 @@ def _is_near(voxels: FlameVoxels, light: np.ndarray) -> np.ndarray:
     if not light.any():
         return np.ones(len(light), bool)
     away = voxels.center[:, :2] - np.average(voxels.center[:, :2], axis=0, weights=light)
-    ahead = find_common_ray(voxels)
+    ahead = voxels.common_ray
     distances2 = [(FAR, (away**2).sum(1))]
     if ahead is not None:
         distances2.append((BEHIND, (away @ ahead[:2]) ** 2))
@@ -197,7 +197,7 @@ def imagine_views(
     shining = light.emission[frames].T
     levels, usual, spread = _light_by_thickness(voxels, shining, observation, frames)
     cameras = cameras or cameras_around(voxels, observation.cameras)
-    thickness = np.stack([_thickness(voxels, shining, camera) for camera in cameras], 1)
+    thickness = np.stack(map_on_cores(lambda camera: _thickness(voxels, shining, camera), cameras), 1)
     curves = np.concatenate([usual, spread], 1)
     return UnseenViews(cameras, frames, observation.time_s[frames], thickness.astype(np.float16), levels, curves)
 

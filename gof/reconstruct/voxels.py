@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 from scipy.sparse import coo_matrix, csr_matrix
@@ -12,6 +13,8 @@ from gof.core.errors import DataFormatError
 
 MIN_VIEWS = 2  # whose masks must hold a voxel, where there are so many cameras
 ROOM = 4.0  # voxels around the hull that flame Gaussians, which may move, are still sure to be in
+ONE_SIDE = 0.2  # by which the rays' first principal value exceeds the second: cameras less far around see all sides
+STEEP = np.sin(np.deg2rad(60))  # of the cameras' common direction
 LAYERS_POOLED = 2.0  # std-dev in voxels: a flame's middle and width change slowly with height
 
 
@@ -39,6 +42,17 @@ class FlameVoxels:
     def first_center(self) -> np.ndarray:
         """(3,) centre of the grid's first voxel, whether it is among these or not."""
         return self.center[0] - self.index[0] * self.voxel_size
+
+    @cached_property
+    def common_ray(self) -> np.ndarray | None:
+        """(3,) the cameras' common direction; None where they stand all around, or look down steeply."""
+        rays = np.cross(self.jacobian[:, :, 0], self.jacobian[:, :, 1])
+        rays = np.where(np.isfinite(rays), rays, 0).sum(1)  # NaN: a voxel beside or behind the camera
+        length = np.linalg.norm(rays, axis=1)
+        rays = rays[length > 0] / length[length > 0, None]
+        common, axes = np.linalg.eigh(rays.T @ rays / max(len(rays), 1))
+        ahead = axes[:, 2]
+        return None if common[2] - common[1] < ONE_SIDE or abs(ahead[2]) > STEEP else ahead
 
     def only(self, rows: np.ndarray) -> FlameVoxels:
         """Return some of the voxels, of the same grid. rows: indices, or (V,) bool."""
