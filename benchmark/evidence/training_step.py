@@ -1,4 +1,4 @@
-"""The cost of a step of a real reconstruction: with all Gaussians, with those alight, and by Dr.Jit's kernels.
+"""The cost of a step of a real reconstruction: all Gaussians, those alight, by Dr.Jit's kernels, and in batches.
 
     python -m gof_benchmark.evidence.training_step DATASET [--preset standard] [--steps 40]
 
@@ -6,8 +6,9 @@ Takes about 1 min.
 
 The first stages of `gof reconstruct DATASET`, then the same steps from the same seeds in turn, on one thread and, by
 the clock, on all. Most of a clip's Gaussians live at another time than a picture's: `gof reconstruct` leaves them out
-before it projects (`gof.reconstruct.parameters.alight`). Prints how many it draws, CPU time of a step, what the
-renderer's native kernels and leaving out are worth, and how far the parameters differ after the last step.
+before it projects (`gof.reconstruct.parameters.alight`), and draws several frames at once (`gof.reconstruct.batches`).
+Prints how many it draws, the time of a picture, what the renderer's native kernels, leaving out and batches are worth,
+and how far the parameters differ after the last step.
 """
 
 from __future__ import annotations
@@ -31,11 +32,12 @@ from gof.reconstruct.settings import ReconstructionSettings
 from gof_benchmark.evidence.render_kernels import drawn_by
 
 WARM_UP = 5  # steps: the first compile
-WAYS = {
-    "Dr.Jit's kernels, all Gaussians": ("drjit", False),
-    "Dr.Jit's kernels, those alight": ("drjit", True),
-    "native kernels, all Gaussians": ("native", False),
-    "native kernels, those alight": ("native", True),
+WAYS = {  # kernels; whether it leaves out who is not alight, and draws batches
+    "Dr.Jit's kernels, all Gaussians": ("drjit", False, False),
+    "Dr.Jit's kernels, those alight": ("drjit", True, False),
+    "native kernels, all Gaussians": ("native", False, False),
+    "native kernels, those alight": ("native", True, False),
+    "native kernels, alight, in batches": ("native", True, True),
 }
 
 
@@ -84,34 +86,40 @@ class _Measured(Exception):
 
 
 def measure(seeds, observation, windows, surroundings, schedule, units, steps: int) -> dict[str, Any]:
-    """Return milliseconds of each step by way: of CPU time on one thread, then by the clock on all; see `optimize`."""
+    """Return milliseconds of each picture by way: of CPU time on one thread, then by the clock on all; see `optimize`."""
     import drjit as dr
 
-    from gof.reconstruct.batches import TrainingPictures
+    from gof.reconstruct.batches import TrainingPictures, count_together
     from gof.reconstruct.optimize import Flame, Shown, take_step
 
-    flames = {way: Flame(seeds, observation, windows, surroundings, schedule, units) for way in WAYS}
-    pictures = {way: TrainingPictures(observation, windows) for way in WAYS}  # each ready for its own kernels
+    together = count_together(seeds.t_sigma, observation.time_s, windows.width * windows.height)
+    sizes = {way: together if in_batches else 1 for way, (_, _, in_batches) in WAYS.items()}
+    flames = {way: Flame(seeds, observation, windows, surroundings, schedule, units, n) for way, n in sizes.items()}
+    pictures = {way: TrainingPictures(observation, windows, together=n) for way, n in sizes.items()}
+    done = dict.fromkeys(WAYS, 0)
     drawn: list[int] = []
 
-    def step(way: str, number: int) -> None:
-        kernels, leaves_out = WAYS[way]
+    def step(way: str) -> int:
+        kernels, leaves_out, _ = WAYS[way]
         with ExitStack() as stack:
             stack.enter_context(drawn_by(kernels))
             if not leaves_out:
                 stack.enter_context(patch.object(Flame, "shown", lambda flame, *_: Shown(flame.optimizer, None)))
-            take_step(number, flames[way], pictures[way], schedule, units)
+            _, taken = take_step(done[way], flames[way], pictures[way], schedule, units)
             dr.sync_thread()
+        done[way] += taken
+        return taken
 
     shown = Flame.shown
 
     def counted(flame: Flame, *view) -> Any:
         found = shown(flame, *view)
-        drawn.append(dr.width(found.raw["t_mu"]))
+        if found.stack is None:
+            drawn.append(dr.width(found.raw["t_mu"]))
         return found
 
-    figures: dict[str, Any] = {"gaussians": len(seeds), "pixels": [windows.width, windows.height]}
-    threads, number = dr.thread_count(), 0
+    figures: dict[str, Any] = {"gaussians": len(seeds), "pixels": [windows.width, windows.height], "together": together}
+    threads = dr.thread_count()
     with patch.object(Flame, "shown", counted):
         for name, many, clock in (("cpu_ms", 1, time.process_time), ("wall_ms", threads, time.perf_counter)):
             dr.set_thread_count(many)
@@ -119,27 +127,27 @@ def measure(seeds, observation, windows, surroundings, schedule, units, steps: i
             for repeat in range(steps + WARM_UP):
                 for way, spent in figures[name].items():
                     start = clock()
-                    step(way, number)
+                    taken = step(way)
                     if repeat >= WARM_UP:
-                        spent.append(1e3 * (clock() - start))
-                number += 1
+                        spent.append(1e3 * (clock() - start) / taken)
     figures |= {"threads": threads, "drawn": float(np.mean(drawn)), "differ": _differ(flames, units)}
     return figures
 
 
 def _differ(flames: dict[str, Any], units) -> float:
-    """Return largest difference of a position between the two native ways after all steps, in voxels."""
-    places = [flames[way].state()[0].position for way, (kernels, _) in WAYS.items() if kernels == "native"]
+    """Return largest difference of a position between both native ways of a picture a step, in voxels."""
+    alike = [way for way, (kernels, _, in_batches) in WAYS.items() if kernels == "native" and not in_batches]
+    places = [flames[way].state()[0].position for way in alike]
     return float(np.abs(places[0] - places[1]).max() / units.voxel_size)
 
 
 def report(figures: dict[str, Any]) -> str:
-    """Return a table: milliseconds of a step, smallest and median, and how many times as fast as the first way."""
+    """Return a table: milliseconds of a picture, smallest and median, and how many times as fast as the first way."""
     width, height = figures["pixels"]
     share = figures["drawn"] / figures["gaussians"]
     lines = [
         f"{figures['gaussians']} Gaussians, of which a step draws {figures['drawn']:.0f} ({share:.0%}), "
-        f"windows of {width}x{height} px; smallest (median)",
+        f"windows of {width}x{height} px, {figures['together']} in a batch; smallest (median) of a picture",
         f"{'':34s}{'CPU ms, 1 thread':>20s}{'':>8s}{'wall ms, ' + str(figures['threads']) + ' threads':>22s}",
     ]
     first = next(iter(WAYS))
@@ -150,8 +158,8 @@ def report(figures: dict[str, Any]) -> str:
             cells += f"{own.min():10.1f} ({np.median(own):6.1f}){np.median(base) / np.median(own):7.2f}x   "
         lines.append(f"{way:34s}{cells}")
     lines.append(
-        f"after {len(figures['cpu_ms'][first]) * 2 + 2 * WARM_UP} steps the positions of the last two differ by "
-        f"{figures['differ']:.1e} voxels at most"
+        f"after {len(figures['cpu_ms'][first]) * 2 + 2 * WARM_UP} steps the positions of the two native ways without "
+        f"batches differ by {figures['differ']:.1e} voxels at most"
     )
     return "\n".join(lines)
 

@@ -18,6 +18,7 @@ from gof.render import Target
 from gof.render.backend import Bool, Float
 
 LIFE = 4.5  # t_sigma: so far from each other, a fiftieth of the Gaussians shines in both of two frames
+USUAL_LIFE = 2.0  # t_sigma in training frames: the demo has 2.04
 MOST, PIXELS = 4, 400_000  # frames of a batch, and their pixels: more save little, and take memory
 WHITE = 0.8  # display value from which light beyond white may be behind it: pictures are compressed and shrunk
 
@@ -30,6 +31,11 @@ def count_together(t_sigma: np.ndarray, time_s: np.ndarray, pixels: int) -> int:
     """
     life = LIFE * float(np.median(t_sigma)) if len(t_sigma) else np.inf
     return int(np.clip(np.ptp(time_s) / life, 1, np.clip(PIXELS // pixels, 1, MOST)))
+
+
+def expect_together(frames: int, pixels: int) -> int:
+    """Return the same before there are Gaussians. frames: of the clip, >= 0.   pixels: of a window, >= 0."""
+    return count_together(np.full(1, USUAL_LIFE), np.arange(max(frames, 1)), max(pixels, 1))
 
 
 class Batch(NamedTuple):

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 from gof.dataset import Dataset
 from gof.reconstruct import memory, sanity, stages
+from gof.reconstruct.batches import expect_together
 from gof.reconstruct.density import MOST_GROWTH
 from gof.reconstruct.flow_prior import VOXELS
 from gof.reconstruct.methods import METHODS, Method
@@ -48,7 +49,9 @@ def expected_parts(clip: ClipShape, settings: ReconstructionSettings) -> dict[st
     if settings.scene == "gaussians":  # the still scene has its own steps
         steps = {"background": stages.still_steps(settings)} | steps
     pixels, native = round(clip.window * clip.pictures_px[0]), kernels().name == "native"
-    each_ms = step_ms(settings.gaussians, clip.frames, pixels, native, method.density_control, method.unseen > 0)
+    alone = method.density_control
+    together = 1 if alone else expect_together(clip.frames, pixels)
+    each_ms = step_ms(settings.gaussians, clip.frames, pixels, native, alone, method.unseen > 0, together)
     seeing = seeing_s(clip.frames, clip.training_px, _most_voxels(settings))
     return seeing | {part: count * each_ms / 1e3 for part, count in steps.items()} | {"rest": REST_S}
 

@@ -99,21 +99,22 @@ REST_S = 2.0  # files that are written at the end
 
 
 def step_ms(
-    gaussians: int, frames: int, pixels: int, native: bool, all_drawn: bool = False, held: bool = False
+    gaussians: int, frames: int, pixels: int, native: bool, all_drawn: bool = False, held: bool = False, together=1
 ) -> float:
     """Predict the ms of an optimisation step on the machine of `gof.core.time_left`.
 
     By hand through three runs there: the sample's `toy` and `preview` and the demo took 12, 25 and 21 ms, and through
-    four on a quicker machine of 36 and 50 frames; all within 13 %.
+    four on a quicker machine of 36 and 50 frames; all within 13 %. In batches of three the demo takes 0.7 of its time.
 
     Args:
         gaussians: in all frames together.   frames: for training.   pixels: that are drawn.
         native: whether the renderer's native kernels run (`gof.render.backend.kernels`).
         all_drawn: whether every step has all Gaussians, and not those alone that are alight.
         held: whether every step also draws a view from where no camera stood (`gof.reconstruct.unseen`).
+        together: pictures of a batch (`gof.reconstruct.batches`), whose start they share.
     """
     of_gaussians = 0.18e-3 * gaussians if all_drawn else 2.5e-3 * gaussians / frames
-    whole = 8.5 + of_gaussians + 0.145e-3 * pixels
+    whole = 8.5 / together + of_gaussians + 0.145e-3 * pixels
     return whole * (1 if native else DRJIT) * (1 if held else UNHELD)
 
 

@@ -9,7 +9,16 @@ import pytest
 
 from gof.dataset import Dataset
 from gof.reconstruct import optimize
-from gof.reconstruct.batches import LIFE, MOST, PIXELS, Batch, TrainingPictures, count_together, sort_by_picture
+from gof.reconstruct.batches import (
+    LIFE,
+    MOST,
+    PIXELS,
+    Batch,
+    TrainingPictures,
+    count_together,
+    expect_together,
+    sort_by_picture,
+)
 from gof.reconstruct.methods import OURS
 from gof.reconstruct.observation import observe
 from gof.reconstruct.surroundings import Plates, StillScene
@@ -84,6 +93,12 @@ def test_as_many_frames_are_together_as_lives_fit_into_the_clip():
     assert count_together(np.full(9, 1.0), times[:1], 100) == 1
     assert [count_together(np.full(9, 1e-4), times, PIXELS // k) for k in (3, 2, 1)] == [3, 2, 1]
     assert count_together(np.full(9, 1e-4), times, 10 * PIXELS) == 1
+
+
+def test_a_forecast_counts_on_as_many_as_the_demo_has():
+    assert [expect_together(*clip) for clip in ((32, 52_560), (88, 30_000), (50, 10 * PIXELS), (1, 9), (0, 0))] == [
+        *(3, MOST, 1, 1, 1)
+    ]
 
 
 def make_flame(observed, surroundings, lives):
