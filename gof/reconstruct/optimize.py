@@ -192,7 +192,7 @@ def take_step(done: int, flame: Flame, pictures: TrainingPictures, schedule: Sch
     loss += schedule.plate_loss * flame.surroundings.moved(batch.c, flame.optimizer)
     dr.backward(loss)
     flame.watch(done, drawn.frame, batch.c)
-    flame.optimizer.step()
+    flame.optimizer.step(len(batch.frames))
     flame.change(done, done + len(batch.frames))
     dr.eval(list(flame.optimizer.values()))
     return loss, len(batch.frames)

@@ -75,9 +75,14 @@ class Adam(opt.Adam):
         self._part = _Part(runs, again, values)
         return dict(values)
 
-    def step(self) -> None:
-        """Move every parameter by its gradient; with `mask_updates` what has gradient 0 stays, with its moments."""
+    def step(self, count: int = 1) -> None:
+        """Move every parameter by its gradient; with `mask_updates` what has gradient 0 stays, with its moments.
+
+        count: steps that this one stands for, each of other rows: the moments' bias is corrected as after so many.
+        """
         if kernels().name != "native":
+            for key in self.state if count > 1 else ():
+                self._count(key, count - 1)
             super().step()
             return
         from gof.render.native.adam import adam_rows
@@ -88,7 +93,7 @@ class Adam(opt.Adam):
         dr.schedule(gradients)
         parts = []
         for key, gradient in gradients.items():
-            steps = self._count(key)
+            steps = self._count(key, count)
             if self.mask_updates and all(_is_nothing(column) for column in gradient):
                 continue
             planes = [as_plane(column, dr.width(learned[key])) for column in gradient]
@@ -99,10 +104,10 @@ class Adam(opt.Adam):
         if parts:
             adam_rows(parts, part.rows, part.again)
 
-    def _count(self, key: str) -> int:
-        """Return a parameter's steps, with this one, and note it."""
+    def _count(self, key: str, count: int) -> int:
+        """Return a parameter's steps with `count` more, and note it."""
         value, promoted, rate, (t, *moments, extra) = self.state[key]
-        steps = int(t[0]) + 1
+        steps = int(t[0]) + count
         self.state[key] = value, promoted, rate, (dr.uint32_array_t(Float)(steps), *moments, extra)
         return steps
 
