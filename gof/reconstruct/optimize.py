@@ -20,6 +20,7 @@ from gof.core.gaussians import TransientGaussians
 from gof.reconstruct.batches import Batch, TrainingPictures, count_together, sort_by_picture
 from gof.reconstruct.checkpoint import Spent, load_checkpoint, save_checkpoint
 from gof.reconstruct.density import DensityControl
+from gof.reconstruct.memory import give_back
 from gof.reconstruct.methods import LAST_SHARE, LONGEST_HELD, Rates, cameras_extent
 from gof.reconstruct.needles import blunt, is_one_sided
 from gof.reconstruct.observation import Observation
@@ -148,6 +149,7 @@ def optimize(
     together = 1 if schedule.density_control else count_together(seeds.t_sigma, observation.time_s, pixels)
     flame = Flame(seeds, observation, windows, surroundings, schedule, units, together)
     pictures = TrainingPictures(observation, windows, unseen, together)
+    give_back()
     done = load_checkpoint(checkpoint, flame.optimizer, resized=schedule.density_control)
     total, mean_loss, held_out = schedule.iterations, None, None
     monitor.progress(done, total, note="")  # the time left is counted from here

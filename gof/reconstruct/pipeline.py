@@ -94,11 +94,13 @@ def _run_stages(run: stages.ReconstructionRun, until: Until) -> stages.Reconstru
     if until == "flow-field":
         return None
     observation = observation.without_motion()  # half of a clip's memory
+    memory.give_back()
     held_out = HeldOut(run.dataset, run.own(observation.static), near=field.voxels.voxel_size)
     light = stages.find_light(run, observation, field)
     seeds = stages.make_seeds(run, observation, still, field, light, held_out)
     if until == "seeds":
         return None
+    memory.give_back()
     gaussians, plates, curve = stages.fit(run, observation, still, field, light, seeds, held_out)
     return stages.save(run, gaussians, plates, curve, held_out)
 

@@ -10,6 +10,7 @@ from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 
@@ -44,7 +45,7 @@ from gof.reconstruct.settings import FILE as SETTINGS
 from gof.reconstruct.settings import ReconstructionSettings
 from gof.reconstruct.shrink import enlarge
 from gof.reconstruct.surroundings import Plates, StillScene, Surroundings
-from gof.reconstruct.unseen import FlameEmission, find_flame_emission, imagine_views
+from gof.reconstruct.unseen import UnseenViews, find_flame_emission, imagine_views
 from gof.reconstruct.windows import Windows
 from gof.render.backend import threads_for
 
@@ -171,14 +172,26 @@ def make_flow_field(run: ReconstructionRun, observation: Observation) -> FlowFie
 # ---- Seeds: the Gaussians that the optimisation starts from ----------------------------------------------------------
 
 
-def find_light(run: ReconstructionRun, observation: Observation, field: FlowField) -> FlameEmission | None:
-    """Return the flame's light in space, where the method uses it; on finer voxels than the flow field's."""
+class LightUse(NamedTuple):
+    """The uses of a flame's light in space, without the light itself, which is large; both None where none is found.
+
+    Attributes:
+        chances: (F, V) of the flow field's voxels, by which Gaussians start there.
+        unseen: how the flame looks from all around; None where it is dark.
+    """
+
+    chances: np.ndarray | None
+    unseen: UnseenViews | None
+
+
+def find_light(run: ReconstructionRun, observation: Observation, field: FlowField) -> LightUse:
+    """Find the flame's light in space, where the method uses it; on finer voxels than the flow field's."""
     if run.method.unseen <= 0:
-        return None
+        return LightUse(None, None)
     with run.log.measure("light") as figures, progress_bar("light", left=run.left) as progress:
         light = find_flame_emission(observation, round(LIGHT_FINER * run.settings.voxels), progress)
         figures.update(voxels=len(light.voxels.center), voxel_size_m=round(light.voxels.voxel_size, 5))
-    return light
+        return LightUse(light.pool(field.voxels), imagine_views(light, observation))
 
 
 def make_seeds(
@@ -186,7 +199,7 @@ def make_seeds(
     observation: Observation,
     still: TransientGaussians | None,
     field: FlowField,
-    light: FlameEmission | None,
+    light: LightUse,
     held_out: HeldOut,
 ) -> TransientGaussians:
     """Return the Gaussians that the optimisation starts from; kept in OUT/seeds.npz. light: see `find_light`."""
@@ -194,8 +207,7 @@ def make_seeds(
     rng = np.random.default_rng(settings.seed)
     with run.log.measure("seeds") as figures:
         t_sigma = lifetime_s(field, dt) if method.seeding.short_lives else LIFETIME_FRAMES[1] * dt
-        chances = None if light is None else light.pool(field.voxels)
-        seeds = sample_seeds(field, method.seeding, t_sigma, settings.gaussians, rng, chances)
+        seeds = sample_seeds(field, method.seeding, t_sigma, settings.gaussians, rng, light.chances)
         seeds = ablations.change_seeds(settings.ablation, seeds, rng).measured_from(run.dataset.datum)
         seeds.save(run.out / "seeds.npz", source="gof reconstruct: seeds before optimisation")
         figures.update(gaussians=len(seeds), t_sigma_s=round(t_sigma, 5))
@@ -214,14 +226,14 @@ def fit(
     observation: Observation,
     still: TransientGaussians | None,
     field: FlowField,
-    light: FlameEmission | None,
+    light: LightUse,
     seeds: TransientGaussians,
     held_out: HeldOut,
 ) -> tuple[TransientGaussians, list[np.ndarray], Curve]:
     """Fit the pictures, from the last checkpoint if there is one.
 
     Args:
-        light: see `find_light`; None: no view but the given ones holds the Gaussians.
+        light: see `find_light`; without, no view but the given ones holds the Gaussians.
     Returns:
         Gaussians and plates as `gof.reconstruct.surroundings.Surroundings.result`, and the curve of held-out scores.
     """
@@ -239,7 +251,6 @@ def fit(
         if still is None
         else StillScene(still, windows.cameras(cameras), field.voxels)
     )
-    unseen = None if light is None else imagine_views(light, observation)
     checkpoint = _checkpoint(run)
     spent = read_spent(checkpoint)
     curve = CurveLog(run.out, resumed_s=spent.fitting_s if spent else None)
@@ -263,7 +274,7 @@ def fit(
 
         monitor = _Monitor(_snapshot(run), held_out, whole, curve, progress, time.perf_counter() - before_s)
         gaussians, plates = optimize(
-            seeds, observation, windows, surroundings, schedule, units, checkpoint, monitor, unseen
+            seeds, observation, windows, surroundings, schedule, units, checkpoint, monitor, light.unseen
         )
     if method.gas_apart:
         gaussians = ablations.change_gas(settings.ablation, gaussians, look_up_gas(gaussians, field))

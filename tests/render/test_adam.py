@@ -114,6 +114,20 @@ def test_rows_that_are_there_again_add_their_gradients():
     np.testing.assert_array_equal(one["w"].x.numpy()[[0, 1, 4]], [0, 2, 8])
 
 
+def test_a_step_that_stands_for_several_corrects_the_bias_of_so_many():
+    """By hand: 0.1 of each moment is the gradient's, 0.001 of its square; then a fourth step, of one."""
+    optimizer = Adam(lr=0.1, params={"w": floats(np.array([1.0, 2.0])), "still": floats(np.ones(1))}, mask_updates=True)
+    dr.backward(dr.sum(optimizer["w"] * floats(np.array([3.0, 0.0]))))
+    optimizer.step(3)
+    first = 0.1 * (0.1 / (1 - 0.9**3)) / (0.001 / (1 - 0.999**3)) ** 0.5
+    np.testing.assert_allclose(optimizer["w"].numpy(), [1 - first, 2], atol=1e-6)
+    assert [int(optimizer.state[name][3][0][0]) for name in ("w", "still")] == [3, 3]
+    dr.backward(dr.sum(optimizer["w"] * floats(np.array([3.0, 0.0]))))
+    optimizer.step()
+    second = 0.1 * (0.19 / (1 - 0.9**4)) / (0.001999 / (1 - 0.999**4)) ** 0.5
+    np.testing.assert_allclose(optimizer["w"].numpy(), [1 - first - second, 2], atol=1e-6)
+
+
 def test_some_rows_need_an_optimiser_that_leaves_the_others():
     optimizer = Adam(lr=0.1, params={"w": floats(np.arange(6.0))})
     with pytest.raises(ValueError, match="mask_updates"):
