@@ -86,7 +86,7 @@ class _Measured(Exception):
 
 
 def measure(seeds, observation, windows, surroundings, schedule, units, steps: int) -> dict[str, Any]:
-    """Return milliseconds of each picture by way: of CPU time on one thread, then by the clock on all; see `optimize`."""
+    """Return ms of each picture by way: of CPU time on one thread, then by the clock on all; see `optimize`."""
     import drjit as dr
 
     from gof.reconstruct.batches import TrainingPictures, count_together

@@ -57,8 +57,10 @@ def require(needed: float) -> None:
 
 
 def give_back() -> None:
-    """Return to the system what has been freed and the C library keeps for later: after stages that worked on many
-    frames side by side, a sixth of all memory. Only glibc can be asked; elsewhere nothing happens."""
+    """Return freed memory, which the C library keeps otherwise, to the system; done by glibc alone, elsewhere nothing.
+
+    After stages that work on many frames side by side it is a sixth of all.
+    """
     try:
         ctypes.CDLL("libc.so.6").malloc_trim(0)
     except (OSError, AttributeError):

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import NamedTuple
 
 import cv2
@@ -80,6 +81,11 @@ def light_above(image: np.ndarray, static: np.ndarray) -> np.ndarray:
     Fire adds light, so the difference in linear light is the fire without the background behind it.
     """
     return np.maximum(srgb_to_linear(image) - srgb_to_linear(static), 0)
+
+
+def _mean_light_above(image: np.ndarray, static: np.ndarray) -> np.ndarray:
+    """(H, W) `light_above`, mean of the channels."""
+    return light_above(image, static).mean(-1)
 
 
 def was_delivered(images: np.ndarray, static: np.ndarray) -> np.ndarray:
@@ -265,8 +271,7 @@ def observe(
     for c, view in enumerate(views):
         h, w = view.static.shape[:2]
         static[c, :h, :w], plate[c, :h, :w], mask[:, c, :h, :w] = view.static, view.plate, view.mask
-        rise = map_on_cores(lambda one, plate=view.plate: light_above(one, plate).mean(-1), view.image)
-        intensity[:, c, :h, :w] = rise
+        intensity[:, c, :h, :w] = map_on_cores(partial(_mean_light_above, static=view.plate), view.image)
         beyond.append((np.arange(height)[:, None] >= h) | (np.arange(width) >= w))
     allowed = mask
     if method.flow_masks:

@@ -8,6 +8,8 @@ like that too, but to the other cameras as well: where one of them sees flame, a
 
 from __future__ import annotations
 
+from functools import partial
+
 import cv2
 import numpy as np
 
@@ -37,10 +39,10 @@ def blocked_views(cameras: list[Camera], masks: np.ndarray, intensity: np.ndarra
         cameras: C.   masks: (F, C, H, W) bool, where flame may be.   intensity: (F, C, H, W) linear light >= 0.
     """
     frames = np.unique(np.linspace(0, len(masks) - 1, FRAMES).round().astype(int))
-    blocked = np.zeros(masks.shape[1:], bool)
+    light, blocked = intensity[frames], np.zeros(masks.shape[1:], bool)
     for _ in range(PASSES if len(cameras) > 2 else 0):
-        seen = cameras, masks, intensity[frames], masks[frames], blocked
-        blocked = np.stack(map_on_cores(lambda c, seen=seen: _blocked(c, *seen), range(len(cameras))))
+        find = partial(_blocked, cameras=cameras, masks=masks, light=light, mask=masks[frames], blocked=blocked)
+        blocked = np.stack(map_on_cores(find, range(len(cameras))))
         if not blocked.any():
             break
     return blocked

@@ -12,7 +12,7 @@ takes it away again. Both are seen from the side.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from typing import Any
 
 import drjit as dr
@@ -108,10 +108,10 @@ def recolor(raw: Raw, palette: Palette, pull: float) -> Array3f:
     return columns(np.where(brightest > BLACK, logit + pull * (wanted - logit), logit).astype(np.float32), Array3f)
 
 
-def alight(raw: Raw, voxel_size: float, times_s: Sequence[float], camera: Camera) -> np.ndarray:
+def alight(raw: Raw, voxel_size: float, times_s: np.ndarray, camera: Camera) -> np.ndarray:
     """(K, N) bool: which Gaussians `splats` can draw at each of K times. Most live at other times."""
     moving = {name: dr.detach(raw[name]) for name in MOVING}
-    shown = [_state(moving, voxel_size, time_s, camera)[1] > FAINTEST for time_s in times_s]
+    shown = [_state(moving, voxel_size, time_s, camera)[1] > FAINTEST for time_s in times_s.tolist()]
     dr.eval(shown)  # in one kernel
     return np.stack([mask.numpy() for mask in shown])
 

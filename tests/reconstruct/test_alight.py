@@ -38,7 +38,7 @@ def short_lived(n=500, lives=0.4) -> TransientGaussians:
 def test_whoever_can_be_seen_is_among_the_rows(row_time_s, time_s):
     flame = short_lived()
     camera = replace(arc(1, width=48, height=96, focal_px=110.0)[0], row_time_s=row_time_s)
-    rows, _, _ = sort_by_picture(alight(to_raw(flame, VOXEL, 0.0), VOXEL, [time_s], camera))
+    rows, _, _ = sort_by_picture(alight(to_raw(flame, VOXEL, 0.0), VOXEL, np.array([time_s]), camera))
     if row_time_s == 0:
         opacity = flame.opacity * np.exp(-0.5 * ((time_s - flame.t_mu) / flame.t_sigma) ** 2)
         assert set(np.flatnonzero(opacity >= 1 / 255)) <= set(rows.tolist())
@@ -56,7 +56,7 @@ def test_whoever_can_be_seen_is_among_the_rows(row_time_s, time_s):
 def test_a_set_smaller_than_a_group():
     flame = short_lived(5)
     camera = arc(1, width=48, height=96, focal_px=110.0)[0]
-    dark = alight(to_raw(flame, VOXEL, 0.0), VOXEL, [1e4], camera)
+    dark = alight(to_raw(flame, VOXEL, 0.0), VOXEL, np.array([1e4]), camera)
     assert not dark.any() and sort_by_picture(dark)[0].tolist() == [0, 1, 2, 3, 4]
 
 
@@ -66,7 +66,7 @@ def test_another_number_of_them_compiles_nothing():
     with dr.scoped_set_flag(dr.JitFlag.KernelHistory, True):
         for k in range(6):
             dr.kernel_history_clear()
-            rows, _, _ = sort_by_picture(alight(optimizer, VOXEL, [1.5 * k * DT], camera))
+            rows, _, _ = sort_by_picture(alight(optimizer, VOXEL, np.array([1.5 * k * DT]), camera))
             seen = splats(optimizer.only(per_gaussian(optimizer), rows), VOXEL, 1.5 * k * DT, camera)
             dr.backward(sum(dr.sum(dr.square(c)) for c in render_splats(seen, camera).color))
             optimizer.step()
