@@ -90,7 +90,7 @@ def measure(seeds, observation, windows, surroundings, schedule, units, steps: i
     import drjit as dr
 
     from gof.reconstruct.batches import TrainingPictures, count_together
-    from gof.reconstruct.optimize import Flame, Shown, take_step
+    from gof.reconstruct.optimize import BatchGaussians, Flame, take_step
 
     together = count_together(seeds.t_sigma, observation.time_s, windows.width * windows.height)
     sizes = {way: together if in_batches else 1 for way, (_, _, in_batches) in WAYS.items()}
@@ -104,7 +104,9 @@ def measure(seeds, observation, windows, surroundings, schedule, units, steps: i
         with ExitStack() as stack:
             stack.enter_context(drawn_by(kernels))
             if not leaves_out:
-                stack.enter_context(patch.object(Flame, "shown", lambda flame, *_: Shown(flame.optimizer, None)))
+                stack.enter_context(
+                    patch.object(Flame, "shown", lambda flame, *_: BatchGaussians(flame.optimizer, None))
+                )
             _, taken = take_step(done[way], flames[way], pictures[way], schedule, units)
             dr.sync_thread()
         done[way] += taken

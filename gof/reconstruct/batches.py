@@ -131,9 +131,9 @@ def sort_by_picture(alight: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndar
     first, again, pictures = np.zeros(len(rows), np.uint32), [], []
     seen = alight[0][rows]
     for k, mask in enumerate(alight[1:], 1):
-        here = mask[rows]
-        again.append(np.flatnonzero(here & seen).astype(np.uint32))
+        lit = mask[rows]
+        again.append(np.flatnonzero(lit & seen).astype(np.uint32))
         pictures.append(np.full(len(again[-1]), k, np.uint32))
-        first[here & ~seen] = k
-        seen |= here
+        first[lit & ~seen] = k
+        seen |= lit
     return rows, np.concatenate([rows[:0], *again]), np.concatenate([first, *pictures])

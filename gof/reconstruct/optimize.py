@@ -200,7 +200,7 @@ def take_step(done: int, flame: Flame, pictures: TrainingPictures, schedule: Sch
     return loss, len(batch.frames)
 
 
-class Shown(NamedTuple):
+class BatchGaussians(NamedTuple):
     """The Gaussians that a batch draws: raw parameters, and the picture of each; None where it is one."""
 
     raw: Raw
@@ -251,26 +251,26 @@ class Flame:
             else None
         )
 
-    def shown(self, batch: Batch, unseen: UnseenView | None) -> Shown:
+    def shown(self, batch: Batch, unseen: UnseenView | None) -> BatchGaussians:
         """Return those that a step's views can see; the others stay as they are in this step."""
         if self._density is not None:  # it counts in how many pictures a Gaussian is, alight or not
-            return Shown(self.optimizer, None)
+            return BatchGaussians(self.optimizer, None)
         times_s = self._times_s(batch)
         seen = alight(self.optimizer, self.voxel_size, times_s, self.cameras[batch.c])
         if unseen is not None:
             seen |= alight(self.optimizer, self.voxel_size, unseen.time_s - self.start_s, unseen.camera)
         rows, again, picture = sort_by_picture(seen)
         raw = self.optimizer.only(per_gaussian(self.optimizer), rows, again)
-        return Shown(raw, Stack(len(seen), whole_numbers(picture)) if len(seen) > 1 else None)
+        return BatchGaussians(raw, Stack(len(seen), whole_numbers(picture)) if len(seen) > 1 else None)
 
-    def drawn(self, shown: Shown, batch: Batch) -> DrawnView:
+    def drawn(self, shown: BatchGaussians, batch: Batch) -> DrawnView:
         """Draw a camera's views of a batch's frames; differentiable."""
         camera = self.cameras[batch.c]
         seen = splats(shown.raw, self.voxel_size, when(self._times_s(batch), shown.stack), camera)
         # Nearer than a voxel is no place for a flame Gaussian; the limit follows the unit of length.
         return self.surroundings.draw(seen, batch.c, self.voxel_size, self.optimizer, shown.stack)
 
-    def loss_unseen(self, shown: Shown, unseen: UnseenView, plain: np.ndarray) -> Any:
+    def loss_unseen(self, shown: BatchGaussians, unseen: UnseenView, plain: np.ndarray) -> Any:
         """Mean distance of a view from where no camera stood to the light that it may have there, in display values
         over an even plate of display values (3,).
 

@@ -116,7 +116,7 @@ def test_a_reconstruction_is_the_same_as_with_all_in_every_step(scene, kernels, 
     monkeypatch.setattr(optimize, "count_together", lambda *_: 1)
     monkeypatch.setattr(optimize.Flame, "shown", counted)
     part = TransientGaussians.load(reconstruct(folder, tmp_path / "part", **small))
-    monkeypatch.setattr(optimize.Flame, "shown", lambda flame, *_: optimize.Shown(flame.optimizer, None))
+    monkeypatch.setattr(optimize.Flame, "shown", lambda flame, *_: optimize.BatchGaussians(flame.optimizer, None))
     every = TransientGaussians.load(reconstruct(folder, tmp_path / "every", **small))
     assert np.mean(shares) < 0.9, "otherwise hardly anything was left out"
     for name in ("position", "velocity", "t_mu", "t_sigma", "scale", "rotation", "opacity", "color"):
