@@ -58,7 +58,8 @@ class TrainingPictures:
         """together: frames of a batch, at most."""
         self._observation, self._windows = observation, windows
         self.unseen = unseen
-        self._batches = _make_batches(observation.delivered, [] if unseen is None else unseen.frames, together)
+        imagined = np.zeros(0, int) if unseen is None else unseen.frames
+        self._batches = _make_batches(observation.delivered, imagined, together)
         self._pictures = int(observation.delivered.sum())
         self._epoch: tuple[int, int] | None = None  # seed and number of the one whose order is known
         self._order = np.arange(len(self._batches))
@@ -99,7 +100,7 @@ class TrainingPictures:
         return np.stack([self._windows.cut(batch.c, pictures[f, batch.c]) for f in batch.frames])
 
 
-def _make_batches(delivered: np.ndarray, imagined, together: int) -> list[tuple[int, tuple[int, ...]]]:
+def _make_batches(delivered: np.ndarray, imagined: np.ndarray, together: int) -> list[tuple[int, tuple[int, ...]]]:
     """Every picture (F, C) once, by camera: those of a batch are as far apart as can be, and have all a view from where
     no camera stood or none."""
     batches = []

@@ -266,7 +266,7 @@ class Flame:
     def drawn(self, shown: BatchGaussians, batch: Batch) -> DrawnView:
         """Draw a camera's views of a batch's frames; differentiable."""
         camera = self.cameras[batch.c]
-        seen = splats(shown.raw, self.voxel_size, when(self._times_s(batch), shown.stack), camera)
+        seen = splats(shown.raw, self.voxel_size, spread_times(self._times_s(batch), shown.stack), camera)
         # Nearer than a voxel is no place for a flame Gaussian; the limit follows the unit of length.
         return self.surroundings.draw(seen, batch.c, self.voxel_size, self.optimizer, shown.stack)
 
@@ -279,7 +279,7 @@ class Flame:
         """
         width, height = unseen.camera.width, unseen.camera.height
         finer = unseen.camera.scaled(2 * width, 2 * height)
-        flame = splats(shown.raw, self.voxel_size, when(unseen.time_s - self.start_s, shown.stack), finer)
+        flame = splats(shown.raw, self.voxel_size, spread_times(unseen.time_s - self.start_s, shown.stack), finer)
         drawn = render_splats(flame, finer, near=self.voxel_size, antialias=True, stack=shown.stack)
         if self.surroundings.emissive:  # over black, and the plate as light: there and back takes three powers a pixel
             fine = sum_light(drawn.color, drawn.alpha, [opaque(x) for x in srgb_to_linear(plain)])
@@ -327,7 +327,7 @@ class Flame:
         return self.surroundings.result(replace(gaussians, **self._kept), self.optimizer)
 
 
-def when(times_s: np.ndarray, stack: Stack | None) -> float | Float:
+def spread_times(times_s: np.ndarray, stack: Stack | None) -> float | Float:
     """Return the time at which each Gaussian is seen, of K pictures'."""
     return float(times_s[0]) if stack is None else dr.gather(Float, floats(times_s), stack.picture)
 

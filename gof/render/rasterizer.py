@@ -102,7 +102,7 @@ def render_splats(
         DataFormatError: an argument out of range, named.
     """
     width, height = camera.width, camera.height
-    _require_channels(splats, background, emissive)
+    _require_fitting(splats, background, emissive, stack)
     if not MIN_ALPHA < max_alpha < 1:
         raise DataFormatError(f"'max_alpha' is {max_alpha}; it must be above 1/255 and below 1")
     trace, canvas = Trace(), Canvas(width, height, 1 if stack is None else stack.count)
@@ -145,7 +145,11 @@ def render_splats(
     return Frame(width, height, color, alpha, depth_sum, dynamic_alpha, mean2d, radius, trace)
 
 
-def _require_channels(splats: Splats, background: list | None, emissive: bool) -> None:
+def _require_fitting(splats: Splats, background: list | None, emissive: bool, stack: Stack | None) -> None:
+    if stack is not None and (stack.count < 1 or len(stack.picture) != len(splats)):
+        raise DataFormatError(
+            f"'stack' has {stack.count} pictures, and those of {len(stack.picture)} of {len(splats)} Gaussians"
+        )
     if background is not None and len(background) != len(splats.color):
         raise DataFormatError(f"'background' has {len(background)} channels, 'color' has {len(splats.color)}")
     if emissive and len(splats.color) != 3:
@@ -191,8 +195,9 @@ def blend(
 
 def _place(p: Projected, stack: Stack, canvas: Canvas) -> Projected:
     """Move the Gaussians down to where their pictures stand on the canvas."""
-    top = stack.picture * UInt(canvas.picture_rows)
-    return replace(p, mean_y=p.mean_y + Float(BLOCK * top), top=top)
+    within = stack.picture < stack.count  # others would be written beyond the canvas
+    top = dr.select(within, stack.picture, 0) * UInt(canvas.picture_rows)
+    return replace(p, mean_y=p.mean_y + Float(BLOCK * top), top=top, visible=p.visible & within)
 
 
 def _radius(p: Projected, width: int, height: int) -> Float:

@@ -69,7 +69,8 @@ class Stack(NamedTuple):
     """Several pictures by one camera, drawn at once: they stand one below the other in every plane.
 
     Args:
-        count: K, of the pictures.   picture: (N,) the one, below K, in which each Gaussian is; no other shows it.
+        count: K >= 1, of the pictures.
+        picture: (N,) the one in which each Gaussian is; no other shows it. One from K on is in none.
     """
 
     count: int

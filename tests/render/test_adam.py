@@ -112,6 +112,13 @@ def test_rows_that_are_there_again_add_their_gradients():
     for found, wanted in zip(one["w"], two["w"], strict=True):
         np.testing.assert_allclose(found.numpy(), wanted.numpy(), atol=1e-6)
     np.testing.assert_array_equal(one["w"].x.numpy()[[0, 1, 4]], [0, 2, 8])
+    part, shared = one.only(["w"], rows, np.array([1, 0, 1], np.uint32))["w"], floats(np.array([0, 1, 3, 2, 0, -0.5]))
+    before = [plane.numpy().copy() for plane in one.state["w"][3][1]]
+    dr.backward(dr.sum(part.x * shared) + dr.sum(part.y * shared))  # one gradient for both columns
+    one.step()
+    np.testing.assert_array_equal(shared.numpy(), [0, 1, 3, 2, 0, -0.5])
+    for old, plane in zip(before, one.state["w"][3][1], strict=True):
+        np.testing.assert_allclose(plane.numpy()[[2, 3]], 0.9 * old[[2, 3]] + 0.1 * np.array([2.5, 3]), rtol=1e-5)
 
 
 def test_a_step_that_stands_for_several_corrects_the_bias_of_so_many():

@@ -108,6 +108,10 @@ def test_pictures_before_one_plate_are_each_before_it(pictures):
     for k in range(4, 7):
         np.testing.assert_allclose(found[k], wanted[k].reshape(pictures, -1).sum(0), rtol=1e-4, atol=1e-5)
     assert all(np.isfinite(gradient).all() for gradient in found)
+    inputs = [*planes(color), floats(alpha), *planes(plate)]
+    dr.enable_grad(inputs)
+    dr.backward(dr.sum(show_before(inputs[:3], inputs[3], inputs[4:], pictures)[1]))  # two channels have no gradient
+    assert not inputs[4].grad.numpy().any() and inputs[5].grad.numpy().any() and len(inputs[5].grad) == len(plate)
 
 
 def _linear(x):

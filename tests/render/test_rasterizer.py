@@ -92,6 +92,26 @@ def test_a_stack_is_its_pictures_each_alone(wh, pair_budget):
         np.testing.assert_allclose(frame.radius.numpy()[picture == k], alone.radius.numpy(), rtol=1e-6)
 
 
+def test_a_gaussian_of_no_picture_of_the_stack_is_drawn_nowhere():
+    cam, g = camera(20, 14), gaussians(40, 4, 0.15)
+    picture = np.tile(np.uint32([0, 1, 2, 2**32 - 1]), 10)
+    s = splats(g, grad=True)
+    frame = render_splats(s, cam, stack=Stack(2, whole_numbers(picture)))
+    dr.backward(sum(dr.sum(c) for c in frame.color))
+    own = splats({name: value[picture < 2] for name, value in g.items()})
+    wanted = render_splats(own, cam, stack=Stack(2, whole_numbers(picture[picture < 2])))
+    for found, plane in zip(frame.color, wanted.color, strict=True):
+        np.testing.assert_allclose(found.numpy(), plane.numpy(), atol=1e-6)
+    for name, gradient in gradients(s).items():
+        assert np.isfinite(gradient).all() and not gradient[picture >= 2].any(), name
+
+
+@pytest.mark.parametrize("count, n", [(0, 40), (2, 39)])
+def test_a_stack_that_does_not_fit_is_named(count, n):
+    with pytest.raises(DataFormatError, match=f"'stack' has {count} pictures, and those of {n} of 40"):
+        render_splats(splats(gaussians(40)), camera(8, 8), stack=Stack(count, whole_numbers(np.zeros(n))))
+
+
 def test_an_empty_stack_is_its_backgrounds():
     cam = camera(6, 5)
     nothing = splats({name: value[:0] for name, value in gaussians(1).items()})

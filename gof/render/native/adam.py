@@ -32,13 +32,14 @@ def _step(value, m, v, gradient, new_value, new_m, new_v, masked, rate, beta_1, 
 @kernel
 def _step_rows(value, m, v, gradient, rows, runs, again, rate, beta_1, beta_2, epsilon):
     """In place, what has gradient 0 stays; rows[runs[r]:runs[r + 1]] are neighbours, `again` those that follow them."""
+    added = gradient[: len(rows)].copy()  # columns may share a gradient, and it may be the caller's
     for k in range(len(again)):
-        gradient[again[k]] += gradient[len(rows) + k]
+        added[again[k]] += gradient[len(rows) + k]
     for r in range(len(runs) - 1):
         k = runs[r]
         i = np.int64(rows[k])
         for j in range(runs[r + 1] - k):
-            g = gradient[k + j]
+            g = added[k + j]
             old = value[i + j], m[i + j], v[i + j]
             new = moved(*old, g, rate, beta_1, beta_2, epsilon)
             value[i + j], m[i + j], v[i + j] = old if g == np.float32(0) else new
@@ -102,7 +103,7 @@ def adam_rows(parameters, rows: RowRuns, again: np.ndarray) -> None:
 
     Args:
         parameters: of each, its value and two moments, K columns (N,) each; the gradients of the rows, and behind them
-            of those `again`, K columns, where the sums are written; and rate, both betas and epsilon as `adam`.
+            of those `again`, K columns; and rate, both betas and epsilon as `adam`.
         again: see `take`.
     """
     tasks = []
