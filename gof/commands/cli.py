@@ -90,6 +90,8 @@ def main(argv: list[str] | None = None) -> int:
     --verbose and $GOF_DEBUG show the traceback of an error, and raise a fault.
     """
     argv = sys.argv[1:] if argv is None else argv
+    # Read when numpy is loaded. Commands work on frames side by side, and BLAS' own threads would keep cores from them.
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     try:
         try:
             return _main(argv)

@@ -26,6 +26,7 @@ from gof.reconstruct.optical_flow import FlowMethod, dis
 
 MAX_ERROR_PX = 1.0  # there and back, plus a tenth of its length: above, a flow vector is dropped
 MOVING_PX = 0.5
+TOGETHER = 8  # frames of a camera whose flow one core finds, one after the other, as neighbours share it
 GROWN_BY = np.ones((5, 5), np.uint8)
 
 
@@ -128,7 +129,10 @@ FrameVelocity = Callable[[dict[int, np.ndarray], np.ndarray, int], np.ndarray]
 
 
 class _Pairs:
-    """Optical flow between two pictures, there and back. Both of them ask for it, so that of the last pair is kept."""
+    """Optical flow between two pictures, there and back. Both of them ask for it, so that of the last pair is kept.
+
+    Not for several threads at once.
+    """
 
     def __init__(self, flow: FlowMethod):
         self._flow = flow
@@ -261,11 +265,11 @@ def observe(
         raise DataFormatError(
             f"{dataset.path}: no flame found in any training frame (nothing rises above the static plates)"
         )
-    picture, velocity_at = (
-        (flow_picture, checked_velocity(flow)) if method.flow_of_light else (colour_picture, velocity_ahead(flow))
+    picture, make_velocity = (
+        (flow_picture, checked_velocity) if method.flow_of_light else (colour_picture, velocity_ahead)
     )
     velocity = np.full((*image.shape[:-1], 2), np.nan, np.float32)
-    _find_flow(velocity, views, frames, picture, velocity_at, progress)
+    _find_flow(velocity, views, frames, picture, partial(make_velocity, flow), progress)
     mask, intensity = np.zeros(image.shape[:-1], bool), np.zeros(image.shape[:-1], np.float32)
     static, plate, beyond = np.zeros(image.shape[1:], np.float32), np.zeros(image.shape[1:], np.float32), []
     for c, view in enumerate(views):
@@ -313,16 +317,22 @@ def _find_flow(
     views: list[_CameraObservation],
     frames: np.ndarray,
     picture: Callable[[np.ndarray, np.ndarray], np.ndarray],
-    velocity_at: FrameVelocity,
+    make_velocity: Callable[[], FrameVelocity],
     progress: Callable[..., None] | None,
 ) -> None:
     """Fill velocity (F, C, H, W, 2) with px/s; other args as `observe`."""
     pictures = [
         {int(k): picture(image, view.plate) for k, image in zip(frames, view.image, strict=True)} for view in views
     ]
-    for c, (view, seen) in enumerate(zip(views, pictures, strict=True)):
-        h, w = view.static.shape[:2]
-        for i, k in enumerate(frames):  # one after the other, as neighbours share their flow
-            velocity[i, c, :h, :w] = velocity_at(seen, view.times_s, int(k))
-            if progress:
-                progress(c * len(frames) + i + 1, len(views) * len(frames))
+    parts = np.array_split(np.arange(len(frames)), -(-len(frames) // TOGETHER))
+    runs = [(c, part) for c in range(len(views)) for part in parts]
+
+    def find(run: tuple[int, np.ndarray]) -> None:
+        c, part = run
+        h, w = views[c].static.shape[:2]
+        velocity_at = make_velocity()
+        for i in part:
+            velocity[i, c, :h, :w] = velocity_at(pictures[c], views[c].times_s, int(frames[i]))
+
+    done = np.cumsum([len(part) for _, part in runs])
+    map_on_cores(find, runs, progress and (lambda run, _: progress(int(done[run - 1]), int(done[-1]))))

@@ -6,6 +6,7 @@ notebook/choices.md says what each is worth on flames, and costs.
 from __future__ import annotations
 
 from pathlib import Path
+from threading import Lock
 from typing import Any, Literal, Protocol
 
 import cv2
@@ -17,7 +18,7 @@ FlowName = Literal["dis", "deepflow", "tvl1", "memfof"]
 
 
 class FlowMethod(Protocol):
-    """A way to find optical flow."""
+    """A way to find optical flow; several threads may call it at once."""
 
     def __call__(self, first: np.ndarray, second: np.ndarray, before: np.ndarray | None = None) -> np.ndarray:
         """(H, W, 2) px from the first picture to the second.
@@ -78,15 +79,16 @@ def memfof(folder: Path) -> FlowMethod:
         )
     device = "cuda" if torch.cuda.is_available() else "cpu"
     model = MEMFOF.from_pretrained(str(folder), backbone_weights=None, local_files_only=True).eval().to(device)
+    alone = Lock()  # the pictures of one call can fill a GPU's memory
 
     def flow(first: np.ndarray, second: np.ndarray, before: np.ndarray | None = None) -> np.ndarray:
         # It looks at three consecutive frames and both ways from the middle one; a clip begins with its first frame
         # twice (authors of the paper).
         frames = [_rgb(picture) for picture in (first if before is None else before, first, second)]
-        clip = torch.from_numpy(np.stack(frames)).permute(0, 3, 1, 2).to(device, torch.float32)
-        with torch.inference_mode():
+        with alone, torch.inference_mode():
+            clip = torch.from_numpy(np.stack(frames)).permute(0, 3, 1, 2).to(device, torch.float32)
             ahead = model(clip[None])["flow"][-1][0, 1]
-        return ahead.permute(1, 2, 0).cpu().numpy()
+            return ahead.permute(1, 2, 0).cpu().numpy()
 
     return flow
 

@@ -115,7 +115,6 @@ class FlameEmission:
         """
         fine, size = self.voxels, self.voxels.voxel_size / coarser.voxel_size
         away = coarser.first_center - fine.first_center
-        dense = np.zeros(fine.resolution, np.float32)
         shares = []
         for axis in range(3):
             low = (np.arange(fine.resolution[axis]) - 0.5) * size + 0.5 - away[axis] / coarser.voxel_size
@@ -124,10 +123,11 @@ class FlameEmission:
             shares.append((np.maximum(overlap, 0) / size).astype(np.float32))
 
         def pooled(light: np.ndarray) -> np.ndarray:
+            dense = np.zeros(fine.resolution, np.float32)
             dense[tuple(fine.index.T)] = light
             return np.einsum("ax,by,cz,xyz->abc", *shares, dense, optimize=True)[tuple(coarser.index.T)]
 
-        return np.stack([pooled(light) for light in self.emission])
+        return np.stack(map_on_cores(pooled, self.emission))
 
 
 def find_flame_emission(
@@ -249,7 +249,8 @@ def cameras_around(voxels: FlameVoxels, cameras: list[Camera], views: int = VIEW
         pose[:3, :3], pose[:3, 3] = turn, -turn @ (middle + distance * out)
         K = np.diag([distance / voxels.voxel_size, distance / voxels.voxel_size, 1.0])
         around.append(Camera(f"unseen_{k}", 1, 1, K, pose))
-    reach = np.nanmax([np.abs(camera.project(voxels.center)[0]).max(0) for camera in around], axis=0)
+    reaches = map_on_cores(lambda camera: np.abs(camera.project(voxels.center)[0]).max(0), around)
+    reach = np.nanmax(reaches, axis=0)
     width, height = (-(-(2 * reach + 4) // BLOCK) * BLOCK).astype(int).tolist()
     centred = np.array([[0, 0, width / 2], [0, 0, height / 2], [0, 0, 0]])
     return [replace(camera, width=width, height=height, K=camera.K + centred) for camera in around]

@@ -15,6 +15,7 @@ MIN_VIEWS = 2  # whose masks must hold a voxel, where there are so many cameras
 ROOM = 4.0  # voxels around the hull that flame Gaussians, which may move, are still sure to be in
 ONE_SIDE = 0.2  # by which the rays' first principal value exceeds the second: cameras less far around see all sides
 STEEP = np.sin(np.deg2rad(60))  # of the cameras' common direction
+FARTHEST = 2.0**30  # px: no picture is so wide, and a whole number of 32 bits holds it
 LAYERS_POOLED = 2.0  # std-dev in voxels: a flame's middle and width change slowly with height
 
 
@@ -67,11 +68,17 @@ class FlameVoxels:
         height, width = images.shape[1:3]
         result = np.full((len(images), len(self.center), *images.shape[3:]), outside, images.dtype)
         for c, image in enumerate(images):
-            with np.errstate(invalid="ignore"):
-                inside = ((self.pixel[c] >= 0) & (self.pixel[c] < (width, height))).all(-1)
-            column, row = self.pixel[c][inside].astype(np.int64).T
-            result[c, inside] = image[row, column]
+            column, row = self._whole_pixel[c]
+            (inside,) = np.nonzero((column >= 0) & (row >= 0) & (column < width) & (row < height))
+            result[c, inside] = image[row[inside], column[inside]]
         return result
+
+    @cached_property
+    def _whole_pixel(self) -> np.ndarray:
+        """(C, 2, V) int32 column and row of the pixel that each voxel is in; negative where it has none."""
+        with np.errstate(invalid="ignore"):
+            place = np.where(self.pixel >= 0, np.minimum(self.pixel, FARTHEST), -1.0)  # NaN is not >= 0
+        return np.ascontiguousarray(place.astype(np.int32).swapaxes(1, 2))
 
 
 def share_among_pixels(place: np.ndarray, width: int, height: int) -> csr_matrix:
