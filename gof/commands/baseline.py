@@ -9,6 +9,8 @@ from gof.host.processes import python_command, run
 
 # Threads that wait by turning round cost several times the work itself where cores are few.
 ENVIRONMENT = {"OMP_WAIT_POLICY": "passive", "OMP_NUM_THREADS": "1", "PYTHONUNBUFFERED": "1"}
+# Large gradients come and go in each step: from the system anew, their pages cost more than their sums (glibc).
+ENVIRONMENT |= {"MALLOC_MMAP_THRESHOLD_": "1000000000", "MALLOC_TRIM_THRESHOLD_": "8000000000"}
 
 
 def main(argv: list[str]) -> int:
