@@ -65,7 +65,7 @@ def adam_in_one_pass() -> None:
         chosen = kwargs.keys() & {"fused", "foreach", "capturable", "differentiable"}
         original(self, params, *args, **(kwargs if chosen else kwargs | {"fused": True}))
 
-    torch.optim.Adam.__init__ = begin
+    torch.optim.Adam.__init__ = begin  # type: ignore[method-assign]
 
 
 def no_restart() -> None:

@@ -105,6 +105,17 @@ free, total = torch.cuda.mem_get_info()
 assert 0 < free <= total and torch.cuda.get_device_properties(0).total_memory == total
 loader = torch.utils.data.DataLoader([1, 2, 3], num_workers=4, pin_memory=True, persistent_workers=True, shuffle=True)
 assert loader.num_workers == 0 and len(list(loader)) == 3
+
+def optimised(**choice):
+    x = torch.nn.Parameter(torch.ones(7))
+    optimizer = torch.optim.Adam([{"params": [x], "lr": 0.1, "name": "x"}], lr=0.0, eps=1e-15, **choice)
+    for k in range(5):
+        x.grad = (k + 1) * torch.linspace(-1, 1, 7)
+        optimizer.step()
+    return x.detach(), bool(optimizer.defaults["fused"])
+
+(quick, fused), (plain, left) = optimised(), optimised(foreach=False)
+assert fused and not left and (quick - plain).abs().max() < 1e-6
 import sys
 print("arguments", sys.argv[1:], __name__)
 """

@@ -1,4 +1,5 @@
-"""The stand-in of Grid4D's hash grid against the published formula, vertex by vertex, written here in float64."""
+"""The stand-in of Grid4D's hash grid against the published formula, vertex by vertex, written here in float64; both as
+it is compiled and by PyTorch."""
 
 import itertools
 
@@ -10,6 +11,8 @@ from gof.core.errors import MissingDependencyError
 torch = pytest.importorskip("torch")
 pytest.importorskip("drjit")
 from gof.on_cpu import hash_grid  # noqa: E402
+
+pytestmark = pytest.mark.usefixtures("kernels")
 
 # Vertices along x, y, z of the coarsest level, and the factor to the next: level 0 fits its part of the table, level 1
 # fills its part to the last row, level 2 has 9 x 12 x 15 vertices in 37 rows.
@@ -30,7 +33,7 @@ POINTS = np.array(
         [0.25, 0.71, 0.999],
     ]
 )
-OUTSIDE = np.array([[-1e-4, 0.5, 0.5], [0.5, 1.0001, 0.5], [2.0, -3.0, 0.1]])
+OUTSIDE = np.array([[-1e-4, 0.5, 0.5], [0.5, 1.0001, 0.5], [2.0, -3.0, 0.1], [np.nan, 0.5, 0.5]])
 
 
 def row(vertex, level: int) -> int:
@@ -49,7 +52,7 @@ def features(points, table):
     """(N, L C): sums over the corners of each point's cell, weights by smoothsteps."""
     found = np.zeros((len(points), len(ROWS) * CHANNELS))
     for n, point in enumerate(points):
-        if np.any(point < 0) or np.any(point > 1):
+        if not np.all((point >= 0) & (point <= 1)):
             continue
         for level in range(len(ROWS)):
             place = point * (np.array(BASE) * FACTOR**level - 1)
