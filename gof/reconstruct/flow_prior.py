@@ -20,6 +20,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from pathlib import Path
 
 import numpy as np
@@ -221,7 +222,7 @@ class FlameDescriber:
         frame = self.field.frames[f]
         emission = frame.emission
         now = CrossSections.of(layers, self.field.voxels, emission) if emission.any() else axis.sections
-        outward, radius = self._outward(axis.sections)
+        outward, radius = self._outward_of_clip
         outward_now, radius_now = self._outward(now)
         across = layers.sideways(frame.velocity)
         fine, coarse = (slope(self.log_light.grid(f, width), self.field.voxels) for width in (FINE, COARSE))
@@ -256,7 +257,7 @@ class FlameDescriber:
         vectors[:, 4] = outward
         return np.clip(np.stack(features, -1), -LIMIT, LIMIT).astype(np.float32), vectors.astype(np.float32)
 
-    @property
+    @cached_property
     def _lean(self) -> np.ndarray:
         """(S, 3) how far the clip's axis goes sideways per m of itself."""
         from scipy.ndimage import gaussian_filter1d  # here: it takes long to load
@@ -264,6 +265,11 @@ class FlameDescriber:
         tangent = gaussian_filter1d(self.axis.layers.slope(self.axis.sections.middle), 4, axis=0)
         length = np.linalg.norm(tangent, axis=1, keepdims=True)
         return self.axis.layers.sideways(tangent / np.maximum(length, 1e-9))
+
+    @cached_property
+    def _outward_of_clip(self) -> tuple[np.ndarray, np.ndarray]:
+        """Return `_outward` from the clip's axis."""
+        return self._outward(self.axis.sections)
 
     def _outward(self, sections: CrossSections) -> tuple[np.ndarray, np.ndarray]:
         """Direction (V, 3) away from the axis, shrinking to 0 within half a voxel of it, and distance (V,) m."""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -10,8 +10,9 @@ import numpy as np
 from gof.core.cameras import Camera, sizes_px
 from gof.core.gaussians import TransientGaussians
 from gof.dataset import Dataset
-from gof.evaluate.image import psnr, ssim
+from gof.evaluate.image import psnr, psnr_by_mask, ssim_by_mask
 from gof.footage.flame_mask import flame_mask
+from gof.host.threads import map_beside
 from gof.reconstruct.curve import HeldOutScores
 from gof.render import render
 
@@ -52,16 +53,19 @@ class HeldOut:
         Args:
             plates: what the Gaussians are drawn over, see `gof.reconstruct.surroundings`; none for a whole scene.
         """
-        names = ("psnr", "ssim", "psnr_flame", "ssim_flame", "psnr_flame_novel")
-        values: dict[str, list[float | None]] = {name: [] for name in names}
-        for picture in self._training:
-            image = self._draw(picture, gaussians, plates)
-            for name, score in (("psnr", psnr), ("ssim", ssim)):
-                values[name].append(score(image, picture.truth, picture.counts))
-                values[f"{name}_flame"].append(score(image, picture.truth, picture.flame))
-        for picture in self._novel if not plates else ():
-            image = self._draw(picture, gaussians, plates)
-            values["psnr_flame_novel"].append(psnr(image, picture.truth, picture.flame))
+
+        def compare(drawn: tuple[_HeldOutPicture, np.ndarray]) -> dict[str, float | None]:
+            picture, image = drawn
+            scores: dict[str, float | None] = {}
+            for name, score in (("psnr", psnr_by_mask), ("ssim", ssim_by_mask)):
+                found = score(image, picture.truth, [picture.counts, picture.flame])
+                scores[name], scores[f"{name}_flame"] = found
+            return scores
+
+        scores = list(map_beside(compare, self._drawn(self._training, gaussians, plates)))
+        values = {name: [each[name] for each in scores] for name in ("psnr", "ssim", "psnr_flame", "ssim_flame")}
+        novel = self._drawn(() if plates else self._novel, gaussians, plates)
+        values["psnr_flame_novel"] = [psnr(image, picture.truth, picture.flame) for picture, image in novel]
         sizes = sizes_px(picture.camera for picture in self._training)
         return HeldOutScores(**{name: _mean(found) for name, found in values.items()}, sizes_px=sizes)
 
@@ -76,16 +80,17 @@ class HeldOut:
         shown = [self._training[c * frames + frames // 2] for c in range(self._cameras)]
         if len({picture.truth.shape for picture in shown}) > 1:  # cameras of different sizes do not make a grid
             shown = shown[:1]
-        drawn = [self._draw(picture, gaussians, plates) for picture in shown]
+        drawn = [image for _, image in self._drawn(shown, gaussians, plates)]
         return np.vstack([np.hstack([picture.truth for picture in shown]), np.hstack(drawn)])
 
-    def _draw(
-        self, picture: _HeldOutPicture, gaussians: TransientGaussians, plates: Sequence[np.ndarray]
-    ) -> np.ndarray:
-        """(H, W, 3) display values in [0, 1]."""
-        plate = plates[picture.number] if plates else None
-        drawn = render(gaussians, picture.camera, picture.time_s, background=plate, near=self._near)
-        return np.clip(drawn["color"], 0, 1)
+    def _drawn(
+        self, pictures: Iterable[_HeldOutPicture], gaussians: TransientGaussians, plates: Sequence[np.ndarray]
+    ) -> Iterator[tuple[_HeldOutPicture, np.ndarray]]:
+        """Yield each with what the Gaussians make of it, (H, W, 3) display values in [0, 1]."""
+        for picture in pictures:
+            plate = plates[picture.number] if plates else None
+            drawn = render(gaussians, picture.camera, picture.time_s, background=plate, near=self._near)
+            yield picture, np.clip(drawn["color"], 0, 1)
 
 
 def _pictures(dataset: Dataset, static: Sequence[np.ndarray]) -> list[_HeldOutPicture]:

@@ -321,18 +321,17 @@ def _find_flow(
     progress: Callable[..., None] | None,
 ) -> None:
     """Fill velocity (F, C, H, W, 2) with px/s; other args as `observe`."""
-    pictures = [
-        {int(k): picture(image, view.plate) for k, image in zip(frames, view.image, strict=True)} for view in views
-    ]
     parts = np.array_split(np.arange(len(frames)), -(-len(frames) // TOGETHER))
     runs = [(c, part) for c in range(len(views)) for part in parts]
 
     def find(run: tuple[int, np.ndarray]) -> None:
         c, part = run
-        h, w = views[c].static.shape[:2]
+        view, (h, w) = views[c], views[c].static.shape[:2]
+        near = range(max(part[0] - 1, 0), min(part[-1] + 2, len(frames)))
+        pictures = {int(frames[i]): picture(view.image[i], view.plate) for i in near}
         velocity_at = make_velocity()
         for i in part:
-            velocity[i, c, :h, :w] = velocity_at(pictures[c], views[c].times_s, int(frames[i]))
+            velocity[i, c, :h, :w] = velocity_at(pictures, view.times_s, int(frames[i]))
 
     done = np.cumsum([len(part) for _, part in runs])
     map_on_cores(find, runs, progress and (lambda run, _: progress(int(done[run - 1]), int(done[-1]))))
