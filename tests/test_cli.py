@@ -1,7 +1,9 @@
 """The command line: teaches, is quick, prints named errors without a traceback."""
 
+import os
 import subprocess
 import sys
+from pathlib import Path
 
 import pytest
 
@@ -24,6 +26,18 @@ def test_help_names_every_command_and_loads_nothing_heavy():
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
     assert done.returncode == 0, done.stderr
     assert all(name in done.stdout for name in cli.commands())
+
+
+@pytest.mark.skipif(not Path("/proc/self/task").is_dir(), reason="threads are counted as Linux lists them")
+@pytest.mark.parametrize("asked, threads", [(None, 1), ("2", 2)])
+def test_blas_has_one_thread_unless_the_user_asks_for_more(asked, threads):
+    """Its threads wait by turning round, and keep the cores from frames that are worked on side by side."""
+    script = "from gof.commands.cli import main; main(['--version']); import numpy as np, os; x = np.ones((500, 500))"
+    environment = {key: value for key, value in os.environ.items() if key != "OPENBLAS_NUM_THREADS"}
+    environment |= {} if asked is None else {"OPENBLAS_NUM_THREADS": asked}
+    words = [sys.executable, "-c", f"{script}; x @ x; print(len(os.listdir('/proc/self/task')))"]
+    done = subprocess.run(words, capture_output=True, text=True, env=environment, check=True)
+    assert int(done.stdout.split()[-1]) == min(threads, len(os.sched_getaffinity(0)))
 
 
 @pytest.mark.parametrize("command", cli.commands())
