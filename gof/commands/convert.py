@@ -16,7 +16,7 @@ from gof.dataset import Dataset
 from gof.host.terminal import console
 from gof.io.convert import convert
 from gof.io.importers import Imported, ImportOptions, read_result
-from gof.io.importers.alignment import align_cameras, read_cameras
+from gof.io.importers.alignment import align_cameras, align_result, read_cameras
 from gof.io.importers.sidecar import FIELDS, with_sidecar, write_sidecar
 from gof.io.importers.source import WorldBy
 
@@ -133,5 +133,5 @@ def _write_down(config: ConvertConfig) -> int:
 def _moved(imported: Imported, cameras: Path, dataset: Dataset) -> Imported:
     """Return a result in the dataset's world."""
     found = align_cameras(read_cameras(cameras), {c.name: c.world_to_camera for c in dataset.cameras})
-    moved, notes = imported.gaussians.transformed(found.matrix), [*imported.notes, found.in_words(cameras)]
-    return replace(imported, gaussians=moved, notes=notes)
+    moved = align_result(imported.gaussians, found, dataset.datum)
+    return replace(imported, gaussians=moved, notes=[*imported.notes, found.in_words(cameras)])

@@ -325,13 +325,14 @@ class VelocitySequence(GridSequence):
         return cls(array)
 
     def chunk(self, index: int, number: tuple[int, int, int]) -> np.ndarray | None:
-        """Return the part of stored field `index` that `VelocityField.chunk` names, reading nothing else; None if not
-        stored.
+        """Return the part of stored field `index` that `VelocityField.chunk` names, reading nothing else; None where it
+        is not stored and so is at rest.
 
         Raises:
             DataFormatError: the chunk is truncated, or holds NaN or Inf.
         """
-        if self._array.chunks == (1, CHUNK, CHUNK, CHUNK, 3) and not self._array.is_stored((index, *number, 0)):
+        rests = self._array.fill_value == 0 and self._array.chunks == (1, CHUNK, CHUNK, CHUNK, 3)
+        if rests and not self._array.is_stored((index, *number, 0)):
             return None
         box = tuple(slice(CHUNK * i, CHUNK * (i + 1)) for i in number)
         cells = self._array[(index, *box)]

@@ -27,6 +27,7 @@ VANILLA = {
 SWITCH = {"1": True, "true": True, "0": False, "false": False}
 MEANT = {"0": False, "false": False, "no": False, "none": None, "off": False}  # in words of a PLY's comment
 PROPERTIES = ("time", "log_duration", "velocity_0", "velocity_1", "velocity_2")
+FOREVER = 1e6  # clips: what is always on has such a duration; read, a tenth of it is always on
 CLIP = "gof_clip_s"  # our own comment in an .ftgs.ply: seconds of its times 0 and 1
 
 
@@ -93,18 +94,20 @@ def place_in_time(
 
 def moving(values: dict[str, np.ndarray], facts: dict[str, Any], start_s: float, unit_s: float) -> TransientGaussians:
     """Return Gaussians of fields as `read` gives them, in seconds and metres per second; their world is taken as it
-    is."""
+    is. What is always on and rests is background."""
     velocity = values["velocity"] if facts.get("use_velocity", True) else np.zeros_like(values["velocity"])
+    duration = np.maximum(exp(values["log_duration"]), facts.get("min_duration", MIN_DURATION))
+    always = duration > FOREVER / 10
     return TransientGaussians(
         position=values["position"],
         velocity=velocity.astype(np.float64) / unit_s,
         t_mu=values["time"].astype(np.float64) * unit_s + start_s,
-        t_sigma=np.maximum(exp(values["log_duration"]), facts.get("min_duration", MIN_DURATION)) * unit_s,
+        t_sigma=np.where(always, np.inf, duration * unit_s),
         scale=values["scale"],
         rotation=values["rotation"],
         opacity=values["opacity"],
         color=values["color"],
-        dynamic=np.ones(len(values["time"]), bool),
+        dynamic=~always | velocity.any(1),
     )
 
 
@@ -131,7 +134,7 @@ def save(gaussians: TransientGaussians, path: Path, start_s: float, end_s: float
     start_s, end_s = float(start_s), float(end_s)
     g, unit = gaussians, end_s - start_s
     forever = ~g.dynamic | np.isinf(g.t_sigma)
-    duration = np.where(forever, 1e6, np.clip(g.t_sigma / unit, MIN_DURATION, 1e6))
+    duration = np.where(forever, FOREVER, np.clip(g.t_sigma / unit, MIN_DURATION, FOREVER))
     columns = splat_columns(g.arrays()) | {
         "time": np.where(g.dynamic, (g.t_mu - start_s) / unit, 0.5),
         "log_duration": np.log(duration),

@@ -23,7 +23,8 @@ PLAIN = frozenset(
 )
 OURS = "units: metres"  # how a comment of the PLYs that gof writes begins
 UNBOUNDED = ("t_sigma", "v_sd")  # where inf says "always" and "unknown"
-LOGIT_EPS = 2.0**-24  # opacities 0 and 1 have no finite logit; this is half a float32 step below 1
+# Opacities 0 and 1 have no finite logit: half a float32 step below 1; and so near 0 that no size makes up for it.
+OPACITIES = 1e-35, 1 - 2.0**-24
 
 
 @dataclass(frozen=True)
@@ -176,7 +177,7 @@ def splat_columns(arrays: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
     position, scale, color = (arrays[name] for name in ("position", "scale", "color"))
     n = len(position)
     sh = (color[:, None, :] - 0.5) / C0 if color.ndim == 2 else color
-    opacity = np.clip(arrays["opacity"].astype(np.float64), LOGIT_EPS, 1 - LOGIT_EPS)
+    opacity = np.clip(arrays["opacity"].astype(np.float64), *OPACITIES)
     return {
         **{axis: position[:, i] for i, axis in enumerate("xyz")},
         **{f"n{axis}": np.zeros(n) for axis in "xyz"},

@@ -30,7 +30,11 @@ def between_neighbours(dataset: Dataset, camera: int, frame: int, flow: Flow) ->
 
 
 def _moved(picture: np.ndarray, flow: np.ndarray) -> np.ndarray:
-    """Return the picture moved by `flow` (H, W, 2), px, taken to change slowly over the flow's own length."""
+    """Return the picture moved by `flow` (H, W, 2), px, taken to change slowly over the flow's own length.
+
+    What comes from beyond the edge looks as the edge does.
+    """
     height, width = flow.shape[:2]
     x, y = np.meshgrid(np.arange(width, dtype=np.float32), np.arange(height, dtype=np.float32))
-    return cv2.remap(picture.astype(np.float32), x - flow[..., 0], y - flow[..., 1], cv2.INTER_LINEAR)
+    place = x - flow[..., 0], y - flow[..., 1]
+    return cv2.remap(picture.astype(np.float32), *place, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)

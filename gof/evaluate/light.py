@@ -112,8 +112,7 @@ def _light_of_cells(
 
     Narrow Gaussians are split over the nodes of the Gauss-Hermite rule, of wide ones a cell has its centre's density.
     """
-    cell = float(np.linalg.norm(to_world[:3, 0]))
-    wide = np.linalg.norm(shining.axes, axis=1).max(1) > NARROW * cell
+    wide = np.linalg.norm(shining.axes, axis=1).max(1) > NARROW * np.linalg.norm(to_world[:3, :3], axis=0).max()
     nodes, weights = product_rule(3)
     places = shining.middle[~wide, None] + np.einsum("nij,kj->nki", shining.axes[~wide], nodes)
     to_index = np.linalg.inv(to_world)
@@ -124,8 +123,9 @@ def _light_of_cells(
         centres = np.stack(np.meshgrid(*map(np.arange, shape), indexing="ij"), -1).reshape(-1, 3) + 0.5
         centres = centres @ to_world[:3, :3].T + to_world[:3, 3]
         alpha = state.at(time_s)[1][shining.rows[wide]].astype(np.float64)
+        volume = abs(np.linalg.det(to_world[:3, :3]))
         visible = opacity_per_metre(centres, state[shining.rows[wide]], time_s)
-        found = found + visible.weighted(shining.brightness[wide] / alpha).reshape(shape) * cell**3
+        found = found + visible.weighted(shining.brightness[wide] / alpha).reshape(shape) * volume
     return found
 
 

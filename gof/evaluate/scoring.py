@@ -41,7 +41,7 @@ from gof.evaluate.settled import against_motion, settle
 from gof.evaluate.sparse_grid import StoredFields
 from gof.evaluate.trivial_baselines import TRIVIAL_BASELINES, skill
 from gof.io.importers import Imported, ImportOptions, read_result
-from gof.io.importers.alignment import align_cameras, read_cameras, require_same_world
+from gof.io.importers.alignment import align_cameras, align_result, read_cameras, require_same_world
 from gof.io.importers.sidecar import in_words, with_sidecar
 
 NO_PICTURES = "the dataset holds no frame out, so there are no scores of pictures"
@@ -190,23 +190,23 @@ def _load(
             clip_s=(float(dataset.times_s[0]), float(dataset.times_s[-1])),
         )
         imported = read_result(result, options)
-        gaussians, notes = imported.gaussians.measured_from(dataset.datum), list(imported.notes)
+        gaussians, notes = imported.gaussians, list(imported.notes)
         notes += [] if sidecar is None else [in_words(sidecar, foreign)]
         if options.world is not None and options.world.is_dir() and align is None:
             ours = {c.name: c.world_to_camera for c in dataset.cameras}
             notes.append(require_same_world(read_cameras(options.world), ours, options.world))
         origin = Origin(imported.method, tuple(notes), str(imported.path), UsedOptions.of(options))
     elif isinstance(result, Imported):
-        gaussians = result.gaussians.measured_from(dataset.datum)
+        gaussians = result.gaussians
         origin = Origin(result.method, tuple(result.notes), str(result.path))
     else:
-        gaussians = result.measured_from(dataset.datum)
+        gaussians = result
         origin = Origin("memory" if isinstance(gaussians, TransientGaussians) else "trajectory")
     if align is None:
-        return gaussians, origin
+        return gaussians.measured_from(dataset.datum), origin
     found = align_cameras(read_cameras(align), {c.name: c.world_to_camera for c in dataset.cameras})
     origin = replace(origin, notes=(*origin.notes, found.in_words(align)), alignment=UsedAlignment.of(found))
-    return gaussians.transformed(found.matrix), origin
+    return align_result(gaussians, found, dataset.datum), origin
 
 
 def _leak_warnings(made_from: MadeFrom | None, held_out: list[int]) -> list[str]:

@@ -192,7 +192,8 @@ def _bins(
         known = np.isfinite(g.velocity_sd)
         spread = np.log(np.maximum(np.where(known, g.velocity_sd, 1), LEAST_SPREAD).astype(np.float64))
         streams[SPREAD] = np.where(known, _rounded(spread, SPREAD_PITCH), UNKNOWN_SPREAD)
-    if not g.dynamic.all():
+    seen_to_move = fades | streams[MOTION].any(1)  # what a reader takes to be dynamic
+    if not np.array_equal(g.dynamic, seen_to_move):
         streams[MOVING] = g.dynamic.astype(np.int64)
     bands = {}
     for band, (first, end) in BAND_COLUMNS.items():

@@ -38,7 +38,7 @@ class Loss:
 
     Attributes:
         place: of Gaussians.
-        velocity, gas_velocity: of those that move; None where one side has none.
+        velocity, gas_velocity: of those that move; None where one side has none. What has become background rests.
         psnr: dB of display values within [0, 1], where either shows something; inf where nothing differs, None where
             nothing is seen.
     """
@@ -66,14 +66,14 @@ def measure_loss(before: TransientGaussians, after: TransientGaussians, start_s:
         start_s, end_s: first and last second of the clip.
     """
     moving = before.dynamic
-    off: list[Distance | None] = []
-    for name in ("velocity", "gas_velocity"):
-        one, other = getattr(before, name), getattr(after, name)
-        known = one is not None and other is not None and moving.any()
-        off.append(Distance.between(one[moving], other[moving]) if known else None)
+    velocity = gas_velocity = None
+    if moving.any():
+        velocity = Distance.between(before.velocity[moving], after.velocity[moving])
+        if before.gas_velocity is not None and after.gas_velocity is not None:
+            gas_velocity = Distance.between(before.moving_gas[moving], after.moving_gas[moving])
     times_s = [start_s + share * (end_s - start_s) for share in INSTANTS]
     psnr = picture_psnr(before, {time_s: after for time_s in times_s})
-    return Loss(Distance.between(before.position, after.position), off[0], off[1], psnr)
+    return Loss(Distance.between(before.position, after.position), velocity, gas_velocity, psnr)
 
 
 def picture_psnr(before: TransientGaussians, after: dict[float, TransientGaussians]) -> float | None:

@@ -31,6 +31,7 @@ MOST = 65535  # steps of 16 bits
 SIDE = 16_384  # px; the most of a WebP
 PALETTE, PALETTE_ROW = 65_536, 64  # harmonics: how many sets there may be, and how many a row of their picture has
 LEFT_OUT = 252  # alpha of a rotation whose first component (w) is left out
+UNFADED = np.sqrt(-2 * np.log(1 - 1 / 510))  # std-devs from a life's middle, where opacity of 8 bits is the same
 ALWAYS = 8.0  # widths in clips from which nothing is seen to fade within one
 UNKNOWN = 255  # an infinite uncertainty; others are logarithms between LEAST and MOST_SPREAD
 LEAST_SPREAD, MOST_SPREAD = 1e-3, 1e3  # m/s
@@ -51,7 +52,8 @@ def save(gaussians: TransientGaussians, path: Path, start_s: float, end_s: float
         raise DataFormatError(f"{path}: {len(gaussians)} Gaussians from {start_s:g} s to {end_s:g} s make no .tsog")
     order = morton_order(gaussians.position)
     g, clip_s = gaussians[order].transformed(Y_UP), end_s - start_s
-    always = ~(g.dynamic & np.isfinite(g.t_sigma))
+    farthest = np.maximum(np.abs(g.t_mu - start_s), np.abs(end_s - g.t_mu)).astype(np.float64)
+    always = ~g.dynamic | (farthest < g.t_sigma * UNFADED)  # one long life would take the digits of all others
     width = np.where(always, 1, g.t_sigma.astype(np.float64)) / clip_s
     forever = max(ALWAYS, 2 * width[~always].max(initial=0))
     width[always] = forever

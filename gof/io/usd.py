@@ -25,7 +25,7 @@ from gof.host import extras
 ColorAt: TypeAlias = Callable[[float], np.ndarray]  # second -> (N, 3) or (N, K, 3), of all Gaussians
 SUFFIXES = (".usda", ".usdc")
 START, SOURCE, DATUM, EMISSIVE = "gof_start_s", "source", "gof_datum", "gof_emissive"  # in the file's customLayerData
-CLOSED_FORM = ("velocity", "t_mu", "t_sigma", "peak_opacity")  # primvars, and gas_velocity and v_sd where there are any
+CLOSED_FORM = ("velocity", "t_mu", "t_sigma", "peak_opacity")  # primvars; gas_velocity, v_sd, is_dynamic if needed
 OLDEST = (0, 26, 3)  # of OpenUSD that has splats
 MOST_FRAMES = 100_000  # five digits
 REACH_SIGMAS = 3.0  # of a splat's box
@@ -152,6 +152,8 @@ def _write_text(
     _write(out, "float[] primvars:t_mu", np.where(g.dynamic, g.t_mu, 0))
     _write(out, "float[] primvars:t_sigma", np.where(always, 0, g.t_sigma))  # 0: always on
     _write(out, "float[] primvars:peak_opacity", g.opacity)
+    if not np.array_equal(g.dynamic, ~always | (g.dynamic & g.velocity.any(1))):  # what a reader takes to be dynamic
+        _write(out, "float[] primvars:is_dynamic", g.dynamic.astype(np.float32))
     if np.isfinite(g.velocity_sd).any():
         _write(out, "float[] primvars:v_sd", np.where(np.isinf(g.velocity_sd), -1, g.velocity_sd))  # -1: unknown
     out.write("}\n")

@@ -9,8 +9,10 @@ import numpy as np
 
 from gof.core.cameras import FLIP, names_by_pictures
 from gof.core.colmap import Poses, name_model, read_colmap, require_rigid_poses
+from gof.core.datum import Datum
 from gof.core.errors import DataFormatError, GofError
 from gof.core.files import read_json
+from gof.core.gaussians import MovingGaussians, TransientGaussians
 
 SAME_WORLD = 0.02  # of the cameras' distances from each other; 100 times as many degrees
 ANOTHER_RIG = 0.2  # as SAME_WORLD: what no similarity brings nearer is not the same rig
@@ -38,6 +40,20 @@ class Alignment:
                 * apart
             )
         )
+
+
+def align_result(gaussians: MovingGaussians, found: Alignment, datum: Datum) -> MovingGaussians:
+    """Return a result in the world that `found` maps its own onto, whose places and times are measured from `datum`.
+
+    Cameras state places in their whole world. Where the result counts from a datum of its own, that is added first.
+    """
+    own = gaussians.datum if isinstance(gaussians, TransientGaussians) else None
+    if own is None:
+        return gaussians.transformed(found.matrix).measured_from(datum)
+    from_datum = np.eye(4)
+    from_datum[:3, 3] = own.position
+    moved = gaussians.transformed(found.matrix @ from_datum)
+    return moved.measured_from(Datum(datum.position, own.time_s)).measured_from(datum)
 
 
 def align_cameras(source: dict[str, np.ndarray], target: dict[str, np.ndarray]) -> Alignment:

@@ -103,13 +103,13 @@ def _closed_form(
     count = 0 if state["position"] is None else len(state["position"])
     read: list[Any] = [
         usd_stage.read_array(prim, f"primvars:{name}", 3 if "velocity" in name else 1, first, count)
-        for name in (*u.CLOSED_FORM, "gas_velocity", "v_sd")
+        for name in (*u.CLOSED_FORM, "gas_velocity", "v_sd", "is_dynamic")
     ]
     if any(values is None for values in (*state.values(), *read[: len(u.CLOSED_FORM)])):
         return None, [f"{aside[0]}places, sizes, turns or parts of it are absent"]
-    velocity, t_mu, t_sigma, opacity, gas, spread = read
+    velocity, t_mu, t_sigma, opacity, gas, spread, moves = read
     color = usd_stage.read_colour(prim, first, count)
-    dynamic = (t_sigma > 0) | velocity.any(1)
+    dynamic = (t_sigma > 0) | velocity.any(1) if moves is None else moves > 0.5
     g = TransientGaussians(
         position=state["position"] + np.where(dynamic, t_mu - start_s, 0)[:, None] * velocity.astype(np.float64),
         velocity=velocity,
