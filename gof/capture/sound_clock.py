@@ -54,7 +54,8 @@ def find_lag(known: np.ndarray, other: np.ndarray, rate: float) -> SoundLag:
     if count == 0 or len(known) < rate * 0.2 or len(other) < rate * 0.2:
         raise NoSoundClock("there is less than 0.2 s of sound")
     starts = np.linspace(0, len(other) - length, count).astype(int)
-    size = 1 << int(np.ceil(np.log2(len(known) + length)))
+    # Lags run from minus the other's length to the known one's: as many again, or a long one comes back as a short one.
+    size = 1 << int(np.ceil(np.log2(2 * max(len(known), len(other)) + length)))
     lags = np.arange(size)
     lags[size // 2 :] -= size
     correlations, together = [], np.zeros(size)

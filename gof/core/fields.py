@@ -19,6 +19,7 @@ from .zarr_array import EVERY_FRAME, ZarrArray
 SCHEMA, GRID, VERSION = "gof-velocity", "gof-grid", 1  # of velocity; of any other quantity
 CHUNK = 64  # cells a side: 1.5 MB of float16, small enough to read a flame out of a large domain
 S = TypeVar("S", bound="GridSequence")
+SAME_PLACE = 0.01  # of a voxel, by which the corners of one grid may differ
 SAME_TIME_S = 1e-6  # a stored frame this near to a time is the frame of that time
 LARGEST, LARGEST_CHUNK = 4096, 256  # cells a side; a file that claims more is refused: twice what a scene may ask for
 LARGEST_CHUNK_BYTES = 2**29
@@ -304,9 +305,9 @@ class VelocitySequence(GridSequence):
         if not fields:
             raise DataFormatError(f"{path}: no fields to write")
         first = fields[0]
-        if any(
-            f.resolution != first.resolution or not np.allclose(f.index_to_world, first.index_to_world) for f in fields
-        ):
+        corners = np.array([[0, 0, 0, 1], [*first.resolution, 1]]).T
+        apart = max(np.abs((f.index_to_world - first.index_to_world) @ corners).max() for f in fields)
+        if apart > SAME_PLACE * first.voxel_size or any(f.resolution != first.resolution for f in fields):
             raise DataFormatError(f"{path}: all fields of a sequence must share one grid")
         attributes = {
             "schema": SCHEMA,

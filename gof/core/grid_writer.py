@@ -100,11 +100,13 @@ class GridWriter:
             stored = self._encode(exact, frame)
             if exact.size:
                 largest_error = max(largest_error, float(np.abs(stored.astype(np.float64) - exact).max()))
+            number = (frame, *index, *(0 for _ in self._components))
             if stored.any():
                 empty = False
-                number = (frame, *index, *(0 for _ in self._components))
                 filled = (slice(0, 1), *(slice(0, n) for n in stored.shape[:3]))
                 write_bytes(array.file_of(number), array.packed(filled, stored[None]))
+            else:
+                array.file_of(number).unlink(missing_ok=True)  # of a run that ended within the frame
         if empty:
             array.mark(frame)
         write_json(self._marker(frame), {"max_abs_error": largest_error})

@@ -159,6 +159,8 @@ class ZarrArray:
                 empty = False
                 self.file_of(number).parent.mkdir(parents=True, exist_ok=True)
                 self.file_of(number).write_bytes(self.packed(in_chunk, part))
+            else:
+                self.file_of(number).unlink(missing_ok=True)  # of what the frame was before
         if empty:
             self.mark(frame)
 

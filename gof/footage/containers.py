@@ -29,6 +29,7 @@ class VideoTrack:
         usual: whether players show it unless told otherwise.
         interlaced: whether the container says that a frame is two fields.
         colour: what its code values mean.
+        mirrored: whether players show it mirrored.
     """
 
     width: int
@@ -37,6 +38,7 @@ class VideoTrack:
     usual: bool = True
     interlaced: bool = False
     colour: Colour = UNKNOWN
+    mirrored: bool = False
 
     def __str__(self) -> str:
         return f"{self.width}x{self.height}" + (f" with {self.frames} frames" if self.frames else "")
@@ -160,7 +162,14 @@ def _tracks_of_mp4(header: bytes) -> Iterator[VideoTrack]:
             bool(header[shown[0] + 3] & 1),
             fields is not None and header[fields[0]] == 2,
             _colour_of_mp4(header, *more),
+            _is_mirrored(header, shown[0]),
         )
+
+
+def _is_mirrored(header: bytes, at: int) -> bool:
+    """Return whether the matrix of a box `tkhd` mirrors the pictures."""
+    a, b, _, c, d = struct.unpack_from(">5i", header, at + (52 if header[at] == 1 else 40))
+    return a * d - b * c < 0
 
 
 def _colour_of_mp4(header: bytes, start: int, end: int) -> Colour:

@@ -240,7 +240,7 @@ def stated_info(path: Path) -> VideoInfo:
     """Return the container's statements, without reading more than one frame.
 
     Raises:
-        DataFormatError: not a readable video, an empty folder, a broken picture.
+        DataFormatError: not a readable video, an empty folder, a broken picture, a film that is tagged as mirrored.
     """
 
     path = Path(path)
@@ -257,6 +257,8 @@ def stated_info(path: Path) -> VideoInfo:
             fingerprint=fingerprint(path),
             numbers=numbers,
         )
+    if any(track.mirrored for track in video_tracks(path)[:1]):
+        raise DataFormatError(f"{path}: its matrix says mirrored; save the film as it should be seen, without the tag")
     with opened(path) as video:
         stated = video.stated
         return VideoInfo(

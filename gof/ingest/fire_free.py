@@ -8,7 +8,7 @@ from typing import Literal
 
 import numpy as np
 
-from gof.core.errors import GofError
+from gof.core.errors import DataFormatError, GofError
 from gof.ingest import plates
 from gof.ingest.footage import Footage, PreparedClip
 from gof.ingest.over_time import MEDIAN_PASSES, darkest
@@ -133,8 +133,19 @@ def _left(pictures: list[np.ndarray], fire: list[np.ndarray]) -> list[float]:
 
 
 def read_plates(folder: Path, footage: Footage) -> list[np.ndarray]:
-    """Return (H, W, 3) uint8 per camera, filmed without fire."""
+    """Return (H, W, 3) uint8 per camera, filmed without fire.
+
+    Raises:
+        DataFormatError: by their names, films are in another order than the plates; see `find_plates`, `read_plate`.
+    """
     found = plates.find_plates(folder, footage.names)
+    stems = [(info.path.name if info.path.is_dir() else info.path.stem).lower() for info in footage.infos]
+    for stem, name in zip(stems, footage.names, strict=False):  # of pictures in memory there are none
+        if stem != name and stem in footage.names and stems.count(stem) == 1:
+            raise DataFormatError(
+                f"{folder}: camera {name} is the film {stem}, whose name there is another camera's; give the films in "
+                "the order of the plates, or name the plates otherwise"
+            )
     tags = [info.rotation_deg for info in footage.infos] or [0] * len(found)
     return [
         footage.preparation(c)(plates.read_plate(path, lens, tag))

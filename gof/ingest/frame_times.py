@@ -31,6 +31,7 @@ from gof.ingest.pairing import Pairing, pair
 
 CLOCKWISE = ("down", "left", "up", "right")  # readout directions, each a clockwise quarter after the one before
 QUARTERS = {"none": 0, "clockwise": 1, "half": 2, "counterclockwise": 3}
+SAME_SHAPE = 0.02  # relative difference of two pictures' shapes: a smaller copy has whole pixels
 ON_GRID = 0.2  # of a step: by how much a time stamp may miss where an even rate puts it; some are rounded to ms
 
 
@@ -144,7 +145,7 @@ def read_frame_times(timing: Timing, videos: list[VideoInfo]) -> FrameTimes:
 
 
 def stated_times(timing: Timing, videos: list[VideoInfo]) -> FrameTimes:
-    """By the rate given, or by the files' own time stamps; the frames `timing.start` were taken together.
+    """By the rate given, or by the files' own time stamps; films begin together, or one start each is of one moment.
 
     A rate gives equal steps, and a gap in the time stamps of a whole number of steps is a gap in time; so is one in the
     numbers of a folder's pictures.
@@ -170,11 +171,12 @@ def stated_times(timing: Timing, videos: list[VideoInfo]) -> FrameTimes:
         source = f"{', '.join(f'{rate:g}' for rate in timing.fps)} frames per second"
     if len(timing.start) == 1:
         require_one_beginning(videos)
-    clocks = [tick - tick[start] for tick, start in zip(ticks, starts, strict=True)]
+    one_moment = starts if len(timing.start) > 1 else [0] * len(videos)  # one start cuts films that begin together
+    clocks = [tick - tick[frame] for tick, frame in zip(ticks, one_moment, strict=True)]
     if not timing.begins_are_known:
         require_one_length(videos, clocks)
     clocks = [_without_repeats(clock, video) for clock, video in zip(clocks, videos, strict=True)]
-    together = "all cameras starting together" if len(set(starts)) == 1 else f"frames {starts} taken together"
+    together = "all cameras starting together" if not any(one_moment) else f"frames {starts} taken together"
     pairing = pair([video.path.name for video in videos], clocks, starts[0], timing.limit)
     count = len(videos)
     times = FrameTimes.of(pairing, clocks, [0.0] * count, ["down"] * count, f"{source}, {together}")
@@ -265,7 +267,7 @@ def measured_times(timing: Timing, videos: list[VideoInfo]) -> FrameTimes:
     pairing = pair([video.name for video in synced], middles, start, timing.limit, str(timing.times))
     # Sync gives the middle of the picture; a dataset's frame starts when its first line is read.
     begins = [middle - _readout_s(camera) / 2 for middle, camera in zip(middles, cameras, strict=True)]
-    row_time_s = [camera.row_time_us * 1e-6 for camera in cameras]
+    row_time_s = [_row_time_s(*each) for each in zip(cameras, videos, strict=True)]
     source = "gof capture sync"
     by_name = [(video.name, camera) for video, camera in zip(synced, cameras, strict=True)]
     estimated = [name for name, camera in by_name if camera.clock == "flame"]
@@ -372,6 +374,22 @@ def _entries(
         if k is None and entry.fingerprint
     )
     return found, notes
+
+
+def _row_time_s(times: VideoTimes, video: VideoInfo) -> float:
+    """Return the seconds from line to line of a video that may be a smaller copy of the one that was timed.
+
+    Raises:
+        DataFormatError: it is turned or cut, and lines or the board's place count.
+    """
+    across, along = (video.width, video.height) if times.readout in ("up", "down") else (video.height, video.width)
+    wide, lines = (times.width, times.height) if times.readout in ("up", "down") else (times.height, times.width)
+    if (times.row_time_us or times.board_px) and abs(across * lines - along * wide) > SAME_SHAPE * along * wide:
+        raise DataFormatError(
+            f"{video.path}: {video.width}x{video.height}, and the film that was timed {times.width}x{times.height}: a "
+            "turned or cut copy. Give that film, or run gof capture sync on this one"
+        )
+    return times.row_time_us * 1e-6 * lines / along
 
 
 def _readout_s(times: VideoTimes) -> float:

@@ -63,19 +63,19 @@ def place_cameras(
     """
     points = _all_points(clips, options)
     notes = tuple(clips[0].notes)
-    if given is not None:
-        options.require_own_up("those of --cameras")
-        check = adjust.check_points(points, lenses, given)
-        near = tuple(f"{pair} stand in one place: they tell no depth" for pair in _together(given, names))
-        report = PoseReport("--cameras", f"{METRES}, from --cameras", notes + near, check=check)
-        return Placed(given, np.zeros((0, 3)), report)
-
-    # ---- has no camera moved between the clips? ----------------------------------------------------------------------
     moved = {}
     for other in clips[1:]:
         moved[other.name] = require_still(names, clips[0], other.name, other.plates, other.masks)
+    if given is not None:
+        options.require_own_world("those of --cameras")
+        check = adjust.check_points(points, lenses, given)
+        near = tuple(f"{pair} stand in one place: they tell no depth" for pair in _together(given, names))
+        scale = f"{METRES}, from --cameras"
+        report = PoseReport("--cameras", scale, notes + near, check=check, moved=moved or None)
+        return Placed(given, np.zeros((0, 3)), report)
+
     if options.rig is not None:
-        options.require_own_up("those of --rig")
+        options.require_own_world("those of --rig")
         moved[options.rig.folder.name] = require_still(names, clips[0], options.rig.folder.name, options.rig.plates)
 
     # ---- solvers, and what the checks say of each --------------------------------------------------------------------
