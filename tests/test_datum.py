@@ -5,11 +5,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from gof.commands.convert import main as convert_main
 from gof.core.datum import Datum
 from gof.core.errors import DataFormatError, GofError
 from gof.core.gaussians import TransientGaussians
 from gof.dataset import Dataset
 from gof.io.importers import read_result
+from gof.io.importers.alignment import align_cameras, align_result
 from tests.conftest import arc, random_gaussians
 
 UTM, UNIX = (498_000.0, 5_213_000.0, 431.0), 1_732_300_000.25
@@ -125,3 +127,38 @@ def test_a_dataset_is_opened_from_its_datum(tmp_path):
         np.testing.assert_allclose(a.position + shift, b.position, atol=1e-6)
     field = far.velocity.at(float(far.times_s[2]))
     np.testing.assert_allclose(field.sample(np.array([[0.0, 0.0, 0.5]]) - shift), [RISE], rtol=1e-3)
+
+
+def test_a_result_is_aligned_in_the_whole_world():
+    """Cameras state places in the whole world, a result from its datum: it lands where it is, by any cameras."""
+    turn = np.array([[0.0, -2, 0, 30], [2, 0, 0, -7], [0, 0, 2, 5], [0, 0, 0, 1]])  # a quarter turn, twice as large
+    target = {c.name: c.world_to_camera for c in arc(3)}  # of the dataset, from its datum
+    source = {}
+    for name, pose in target.items():  # the same ones in the result's own world, far away
+        moved = pose @ turn
+        moved[:3] /= 2
+        moved[:3, 3] -= moved[:3, :3] @ UTM
+        source[name] = moved
+    found = align_cameras(source, target)
+    gaussians, dataset_datum = replace(random_gaussians(50), datum=FAR), Datum((1.0, 2.0, 3.0), UNIX - 2)
+    aligned = align_result(gaussians, found, dataset_datum)
+    np.testing.assert_allclose(aligned.position, gaussians.position @ turn[:3, :3].T + turn[:3, 3], atol=1e-4)
+    np.testing.assert_allclose(aligned.t_mu, gaussians.t_mu + 2, atol=1e-6)
+    assert aligned.datum == dataset_datum
+    unknown = align_result(replace(gaussians, datum=None), align_cameras(target, target), dataset_datum)
+    np.testing.assert_allclose(unknown.position, gaussians.position, atol=1e-6)
+
+
+def test_a_far_dataset_and_its_own_cameras_move_nothing(tmp_path):
+    from tests.moved_dataset import moved_copy
+    from tests.reconstruct.rising_flame import write_flame
+
+    far = moved_copy(write_flame(tmp_path / "near", frames=6), tmp_path / "far", FAR)
+    dataset = Dataset.open(far)
+    g = replace(random_gaussians(20), datum=dataset.datum)
+    g.save(tmp_path / "r.npz")
+    options = ["--align", str(far / "dataset.json"), "--dataset", str(far)]
+    assert convert_main([str(tmp_path / "r.npz"), str(tmp_path / "a.npz"), *options]) == 0
+    back = TransientGaussians.load(tmp_path / "a.npz")
+    np.testing.assert_allclose(back.measured_from(dataset.datum).position, g.position, atol=1e-5)
+    assert back.datum == dataset.datum

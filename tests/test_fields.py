@@ -215,3 +215,11 @@ def test_stores_of_the_zarr_library_with_frames_in_one_chunk_are_read(tmp_path, 
     shutil.rmtree(tmp_path / "v/c/2") if separator == "/" else (tmp_path / "v/c.2.0.0.0.0").unlink()
     with pytest.raises(DataFormatError, match="frame 4 has none"):
         VelocitySequence.open(tmp_path / "v")
+
+
+def test_grids_that_differ_by_voxels_are_no_sequence(tmp_path):
+    """Also where 3 m are nothing beside the coordinates."""
+    still = np.zeros((4, 4, 4, 3), np.float32)
+    fields = [VelocityField.from_array(still, (x, 4e6, 0.0), 0.1, t) for t, x in enumerate((5e5, 5e5 + 3))]
+    with pytest.raises(DataFormatError, match="share one grid"):
+        VelocitySequence.create(tmp_path / "v.zarr", fields)

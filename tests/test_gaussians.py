@@ -199,3 +199,12 @@ def test_unknown_suffix_and_absent_file(tmp_path, gaussians):
         gaussians.save(tmp_path / "g.obj")
     with pytest.raises(DataFormatError, match="no such file"):
         TransientGaussians.load(tmp_path / "absent.ply")
+
+
+def test_the_dead_do_not_weigh_in_a_ply(tmp_path):
+    """DVE weighs by opacity times volume, which of a large Gaussian makes up for six zeros."""
+    g = random_gaussians(4)
+    g = replace(g, opacity=np.array([0.0, 1e-12, 0.5, 1.0]))
+    g.save(tmp_path / "a.ply")
+    back = TransientGaussians.load(tmp_path / "a.ply").opacity
+    assert back[0] < 1e-30 and back[1] == pytest.approx(1e-12, rel=1e-4) and back[2] == pytest.approx(0.5)

@@ -191,3 +191,19 @@ def test_a_store_that_a_version_before_began_does_not_vouch_for_its_frames(tmp_p
     assert "every_frame_stored" not in writer(path).finish()
     assert not VelocitySequence.open(path).frame(0).velocity.any()
     assert writer(path).finished, "generated again, it is kept"
+
+
+def test_a_frame_that_was_cut_off_is_written_anew(tmp_path):
+    """Where the second run has no motion, the first one's is gone."""
+
+    def cut_off(where):
+        if where[0].start:
+            raise KeyboardInterrupt
+        return np.ones([part.stop - part.start for part in where] + [3])
+
+    with pytest.raises(KeyboardInterrupt):
+        writer(tmp_path / "v.zarr", time_s=TIMES[:1]).write_frame(0, cut_off)
+    store = writer(tmp_path / "v.zarr", time_s=TIMES[:1])
+    store.write_frame(0, np.zeros((*GRID, 3)).__getitem__)
+    store.finish()
+    assert not VelocitySequence.open(tmp_path / "v.zarr").frame(0).velocity.any()

@@ -139,3 +139,12 @@ def test_a_strange_description_is_read_or_refused_by_name(tmp_path_factory, chan
         assert np.prod(array.shape, dtype=float) < 0 or array.ndim == len(array.chunks)
     except DataFormatError as e:
         assert str(path) in str(e)
+
+
+def test_a_frame_that_is_written_again_keeps_nothing(tmp_path):
+    array, first = ZarrArray.create(tmp_path / "a", (1, 8, 8), (1, 4, 4), "float32", {}), np.ones((8, 8), np.float32)
+    second = np.zeros_like(first)
+    second[:4, :4] = 3
+    for frame in (first, second, np.zeros_like(first)):
+        array.write(0, frame)
+        np.testing.assert_array_equal(array[(0,)], frame)

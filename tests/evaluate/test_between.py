@@ -29,3 +29,19 @@ def test_what_slides_is_drawn_where_it_is(sliding):
     inside = np.s_[:, 8:-8]  # what comes in at a side was not seen before
     assert psnr(drawn[inside], truth[inside]) > psnr(mean[inside], truth[inside]) + 6
     assert between_neighbours(dataset, 0, 0, dis) is None and between_neighbours(dataset, 0, 8, dis) is None
+
+
+def test_at_the_edge_the_picture_goes_on():
+    """One colour that moves is that colour."""
+
+    class Even:
+        times_s = np.arange(3.0)
+
+        def image(self, camera, frame):
+            return np.full((20, 30, 3), 0.8, np.float32)
+
+    moving = iter([4.0, -4.0])
+    drawn = between_neighbours(
+        Even(), 0, 1, lambda *_: np.float32([next(moving), 0]) * np.ones((20, 30, 1), np.float32)
+    )
+    np.testing.assert_allclose(drawn, 0.8, atol=1e-6)

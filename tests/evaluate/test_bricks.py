@@ -1,5 +1,7 @@
 """Reading a chunked store only where Gaussians are gives what the whole field gives."""
 
+import json
+
 import numpy as np
 import pytest
 
@@ -177,3 +179,21 @@ def test_damaged_chunk_is_named_when_it_is_read(tmp_path):
         dve_sequence(near, store)
     with pytest.raises(DataFormatError, match="outside the stored clock"):
         StoredField(store, 3.0).sample(np.zeros((1, 3)))
+
+
+def test_chunks_that_are_not_stored_have_the_fill_value(tmp_path):
+    """As zarr says: ambient wind, or NaN, which is an error; not rest."""
+    v = np.full((128, 8, 8, 3), 2.0, np.float32)
+    VelocitySequence.create(tmp_path / "v.zarr", [VelocityField.from_array(v, (0, 0, 0), 0.01, t) for t in (0.0, 1.0)])
+    described = tmp_path / "v.zarr/zarr.json"
+    for frame in (0, 1):
+        (tmp_path / f"v.zarr/c/{frame}/1/0/0/0").unlink()
+    one = make_gaussians(1, position=[[0.9, 0.04, 0.04]], velocity=[[2, 2, 2]], scale=[[0.005] * 3], t_mu=[0.0])
+    for fill in (2.0, "NaN"):
+        described.write_text(json.dumps(json.loads(described.read_text()) | {"fill_value": fill}))
+        store = VelocitySequence.open(tmp_path / "v.zarr")
+        if fill == "NaN":
+            with pytest.raises(DataFormatError, match="NaN or Inf"):
+                dve_sequence(one, store, times_s=[0.0], trivial_baselines=False)
+        else:
+            assert dve_sequence(one, store, times_s=[0.0], trivial_baselines=False).l2 < 1e-6

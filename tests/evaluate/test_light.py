@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from gof.core.grid_writer import GridWriter, scalar
 from gof.evaluate.emission import EXPONENT, FlameGrid
 from gof.evaluate.light import score_light
 from tests.evaluate.analytic import make_gaussians
@@ -99,3 +100,23 @@ def test_no_light_and_no_flame_at_all(flame, tmp_path):
 
 def test_an_opaque_gaussian_is_finite(flame):
     assert np.isfinite(score_light(blob(opacity=[1.0]), flame, TIMES, FORWARD).relative_l2)
+
+
+@pytest.mark.parametrize("cell", [(0.1, 0.05, 0.05), (0.05, 0.05, 0.1)])
+def test_cells_need_not_be_cubes(tmp_path, cell):
+    """A wide Gaussian against its own light in the cells: its density times their volume."""
+    shape = tuple(round(2.8 / side) for side in cell)
+    to_world = np.diag([*cell, 1.0])
+    to_world[:3, 3] = MIDDLE - 1.4
+    place = (np.stack(np.meshgrid(*map(np.arange, shape), indexing="ij"), -1) + 0.5) * cell + to_world[:3, 3]
+    light = np.exp(-0.5 * ((place - MIDDLE) ** 2).sum(-1) / WIDTH**2)
+    light[light < 0.01] = 0
+    facts = scalar("flame") | {"light_exponent": 1.0}
+    writer = GridWriter(
+        tmp_path / "flame.zarr", shape, to_world, TIMES, float(np.cbrt(np.prod(cell))), "float32", facts
+    )
+    for k in range(len(TIMES)):
+        writer.write_frame(k, light.__getitem__)
+    writer.finish()
+    found = score_light(blob(), FlameGrid(tmp_path / "flame.zarr"), TIMES, FORWARD)
+    assert found.relative_l2 < 0.06 and found.outside == pytest.approx(0, abs=0.03)

@@ -104,3 +104,14 @@ def test_an_ftgs_ply_of_ours_comes_back_without_options(tmp_path):
     back = read_result(tmp_path / "a.ftgs.ply").gaussians
     np.testing.assert_allclose(back.t_mu[g.dynamic], g.t_mu[g.dynamic], atol=1e-6)
     np.testing.assert_allclose(back.velocity[g.dynamic], g.velocity[g.dynamic], rtol=1e-5)
+
+
+def test_background_stays_background(tmp_path):
+    """What neither moves nor fades is none of the motion that DVE asks for; what is always on is not finite."""
+    g = random_gaussians(60)
+    lives = np.where(np.arange(60) % 3, g.t_sigma, np.inf)
+    g = replace(g, dynamic=np.arange(60) % 2 == 0, t_sigma=lives)
+    save_ftgs(g, tmp_path / "a.ftgs.ply", 0.0, 1.0)
+    back = read_result(tmp_path / "a.ftgs.ply").gaussians
+    np.testing.assert_array_equal(back.dynamic, g.dynamic)
+    np.testing.assert_array_equal(np.isinf(back.t_sigma), np.isinf(g.t_sigma) | ~g.dynamic)

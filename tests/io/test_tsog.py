@@ -240,3 +240,14 @@ def test_gof_convert_says_what_it_costs(tmp_path):
     assert float(said.split("agree to ")[1].split()[0]) > 45
     with pytest.raises(DataFormatError, match="make no"):
         tsog.save(random_gaussians(3), tmp_path / "c.tsog", 1.0, 1.0, "")
+
+
+@pytest.mark.parametrize("longest", [1e3, 1e6, np.inf])
+def test_one_long_life_takes_no_digits_from_the_others(tmp_path, longest):
+    lives = np.random.default_rng(2).uniform(0.03, 0.3, 300)
+    lives[0] = longest
+    g, path = written(tmp_path, moving(t_sigma=lives, dynamic=np.ones(300, bool)))
+    back = read_result(path).gaussians
+    short = g.t_sigma < 1
+    np.testing.assert_allclose(back.t_sigma[short], g.t_sigma[short], rtol=0.01)
+    assert np.isinf(back.t_sigma[~short]).all() and back.dynamic.all()
