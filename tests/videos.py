@@ -78,11 +78,16 @@ def _changed(data: bytes, kind: bytes, change) -> bytes:
 
 def tag_rotation(path: Path, degrees: int) -> Path:
     """Write the rotation tag: a player turns the pictures so many degrees clockwise."""
+    return tag_matrix(path, *MATRIX[degrees])
+
+
+def tag_matrix(path: Path, a: float, b: float, c: float, d: float) -> Path:
+    """Write the matrix by which a player turns and mirrors the pictures."""
 
     def change(content: bytes) -> bytes:
-        a, b, c, d = (round(65536 * v) for v in MATRIX[degrees])
+        a_, b_, c_, d_ = (round(65536 * v) for v in (a, b, c, d))
         at = 40 if content[0] == 0 else 52  # version 1 has longer times
-        return content[:at] + struct.pack(">9i", a, b, 0, c, d, 0, 0, 0, 1 << 30) + content[at + 36 :]
+        return content[:at] + struct.pack(">9i", a_, b_, 0, c_, d_, 0, 0, 0, 1 << 30) + content[at + 36 :]
 
     path.write_bytes(_changed(path.read_bytes(), b"tkhd", change))
     return path

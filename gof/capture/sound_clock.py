@@ -65,9 +65,11 @@ def find_lag(known: np.ndarray, other: np.ndarray, rate: float) -> SoundLag:
         found = np.roll(found, -start)  # by the lag of the whole track
         correlations.append(found)
         together += maximum_filter1d(found, 2 * near + 1, mode="wrap") if count > 1 else found
-    spread = np.median(np.abs(together - np.median(together))) * 1.4826
-    peak = int(together.argmax())
-    height = (together[peak] - np.median(together)) / max(spread, 1e-12)
+    meet = (lags > -len(other)) & (lags < len(known))  # beyond, nothing of one is beside anything of the other
+    usual = np.median(together[meet])
+    spread = np.median(np.abs(together[meet] - usual)) * 1.4826
+    peak = int(np.where(meet, together, -np.inf).argmax())
+    height = (together[peak] - usual) / max(spread, 1e-12)
     if height < LEAST_PEAK:
         raise NoSoundClock(f"their sounds do not agree at any lag (peak {height:.1f} standard deviations)")
     middles, own = [], []

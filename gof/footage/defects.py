@@ -67,8 +67,11 @@ def _combs(before: np.ndarray, after: np.ndarray) -> tuple[int, int]:
 # Frames that a copy shows twice: where a program filled a gap, or made another rate of a film.
 
 COMPARED_EVERY = 4  # rows and columns of which one is compared
-NEIGHBOURS = 12  # frames on either side: of a film at 30 in a copy at 240, each holds one that changes
-LEAST_CHANGED = 3  # of all neighbours: one of them may be a cut, or the compression's
+NEIGHBOURS = 5  # frames on either side
+IN_STEP = (
+    12,
+    3,
+)  # frames on either side that show a copy's step, and how many of them must change: 30 at 240 has one in 8
 REPEATED_SHARE = 0.1  # of the usual change; single frames of films of fire have 0.5 and more
 CHANGES = 0.2  # levels of 255 by which a film's pictures must change, mean, for a repeat to be one
 
@@ -93,15 +96,23 @@ class FrameChanges:
     def repeated(self) -> tuple[int, ...]:
         """Numbers of the frames that show what the one before them shows, although the film moves around them.
 
-        Most of a copy's frames may be repeats. So the usual change is the median of those that do change.
+        Most of a copy's frames may be repeats: then those that change come in even steps.
         """
         return tuple(k for k in range(1, len(self._changes)) if self._changes[k] < REPEATED_SHARE * self._usual(k))
 
     def _usual(self, k: int) -> float:
-        """Return how much the frames around frame k change; 0 where the film does not move before it and after it."""
-        sides = (self._changes[max(k - NEIGHBOURS, 1) : k], self._changes[k + 1 : k + 1 + NEIGHBOURS])
-        before, after = (np.array(side)[np.isfinite(side)] for side in sides)
-        least = REPEATED_SHARE * max(before.max(initial=0), after.max(initial=0))
-        changed = [side[side > least] for side in (before, after)]
-        usual = float(np.median(np.concatenate(changed))) if sum(map(len, changed)) >= LEAST_CHANGED else 0.0
-        return usual if usual > CHANGES and all(map(len, changed)) else 0.0
+        """Return how much the frames around frame k change; 0 where they rest."""
+        around = self._changes[max(k - NEIGHBOURS, 1) : k] + self._changes[k + 1 : k + 1 + NEIGHBOURS]
+        usual = float(np.median(around)) if around else 0.0
+        if usual > CHANGES:
+            return usual if np.isfinite(usual) else 0.0
+        reach, least = IN_STEP
+        begin, near = max(k - reach, 0), np.array(self._changes[max(k - reach, 0) : k + reach + 1])
+        largest = near[np.isfinite(near)].max(initial=0)
+        changed = np.flatnonzero(near > REPEATED_SHARE * largest)  # the film's first frame is one
+        steps = np.diff(changed)
+        if largest <= CHANGES or len(changed) < least or np.ptp(steps) > 1:
+            return 0.0
+        last = begin + changed[-1]
+        between = begin + changed[0] < k and (k < last or len(self._changes) - last <= steps.max())
+        return float(np.median(near[changed[1:]])) if between else 0.0

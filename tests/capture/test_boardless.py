@@ -36,6 +36,16 @@ def crackle(seconds, offset_s, drift, snr_db, seed):
     return (sound + noise * sound.std() * 10 ** (-snr_db / 20)).astype(np.float32)
 
 
+@pytest.mark.parametrize("length_s, other_s, begins_s", [(12.2, 3.4, 8.8), (28.5, 14.0, 20.5), (14.0, 28.5, -12.0)])
+def test_a_film_that_begins_late_in_a_long_one_is_not_taken_round_the_end(length_s, other_s, begins_s):
+    whole = crackle(45.0, 0, 0, 20, 1)
+    first, second = max(-begins_s, 0.0), max(begins_s, 0.0)
+    films = [
+        whole[round(start * RATE) :][: round(length * RATE)] for start, length in ((first, length_s), (second, other_s))
+    ]
+    assert find_lag(*films, RATE).lag_s == pytest.approx(begins_s, abs=0.005)
+
+
 @pytest.mark.parametrize(
     ("seconds", "offset_s", "drift", "snr_db"),
     [(3.0, 0.137031, 0, 10), (8.0, 1.23456, 0, 0), (24.0, 2.001, 50e-6, 0), (24.0, 0.5, -80e-6, -8)],

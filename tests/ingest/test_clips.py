@@ -15,9 +15,10 @@ from gof.dataset.poses import Poses
 from gof.footage.lens import Lens, prepare
 from gof.footage.videos import stated_info
 from gof.ingest import plates
-from gof.ingest.fire_free import around
+from gof.ingest.fire_free import around, read_plates
 from gof.ingest.footage import Footage, PreparedClip
 from gof.ingest.over_time import LUMA, darkest, largest_change, median
+from gof.ingest.pose_clues import PoseOptions
 from gof.ingest.sfm import PoseError
 from tests.ingest.scene import FOCAL, HEIGHT, WIDTH, cameras, draw, pose_errors
 from tests.videos import tag_rotation, write_video
@@ -342,3 +343,23 @@ def test_no_held_out_frame_gets_into_a_plate(tmp_path):
     made = ingest(standing_config(tmp_path, rig, videos, out=tmp_path / "set", plates="steady:30"))
     assert Dataset.open(made.folder).test_frames == [4]
     assert min(made.fire_left.values()) > 0.002
+
+
+def test_plates_that_are_named_as_other_films_are_refused(tmp_path):
+    """They go to the cameras by name, cameras are named by place, and films may be called the same in another order."""
+    rig, folder = cameras()[:2], tmp_path / "plates"
+    folder.mkdir()
+    for c, camera in enumerate(rig):
+        cv2.imwrite(str(folder / f"cam_{c}.png"), draw(camera)[0][..., ::-1])
+    views = footage(tmp_path, rig, frames=2)
+    films = [views[c].rename(tmp_path / f"cam_{c}") for c in (0, 1)]
+    opened = [Footage.open(order, "none", None, 50.0) for order in (films, films[::-1])]
+    assert len(read_plates(folder, opened[0])) == 2
+    with pytest.raises(DataFormatError, match="camera cam_0 is the film cam_1, whose name there is another camera's"):
+        read_plates(folder, opened[1])
+
+
+def test_known_poses_leave_no_choice_of_scale(tmp_path):
+    options = PoseOptions(baseline_m=1.2)
+    with pytest.raises(GofError, match=r"--baseline-m 1.2: poses are taken over, those of --cameras.*leave out --base"):
+        options.require_own_world("those of --cameras")

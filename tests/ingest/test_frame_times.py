@@ -238,6 +238,30 @@ def test_one_rate_gives_equal_steps_and_a_start_for_each_camera():
             read_frame_times(timing, infos(20, 20))
 
 
+def test_one_start_cuts_films_that_begin_together():
+    """By time: of films of other rates, or with frames lost before it, frames of that number are of other moments."""
+    fast, slow = video("a.mp4", np.arange(240) / 60, stated_fps=60.0), video("b.mp4", np.arange(120) / 30)
+    for timing in (Timing(fps=(60.0, 30.0), start=(60,), limit=20), Timing(stamps=True, start=(60,), limit=20)):
+        times = read_frame_times(timing, [fast, slow])
+        assert [f[:3].tolist() for f in times.frames] == [[60, 62, 64], [30, 31, 32]]
+        np.testing.assert_allclose(times.time_s[1], times.time_s[0], atol=1e-9)
+    lost = video("b.mp4", np.delete(np.arange(240), range(20, 25)) / 60, stated_fps=60.0)
+    times = read_frame_times(Timing(fps=(60.0,), start=(100,), limit=50), [fast, lost])
+    assert [f[0] for f in times.frames] == [100, 95]
+
+
+def test_a_smaller_copy_has_fewer_lines_and_a_turned_one_others(tmp_path):
+    path = tmp_path / "times.json"
+    times_file(path, [clock(), clock()], row_us=4.0, readout="down")
+    whole, half = (
+        read_frame_times(Timing(path), [replace(i, width=w, height=h) for i in infos(20, 20)])
+        for w, h in ((100, 200), (50, 100))
+    )
+    assert whole.row_time_s == [4e-6] * 2 and half.row_time_s == [8e-6] * 2
+    with pytest.raises(DataFormatError, match="view0: 200x100, and the film that was timed 100x200: a turned or cut"):
+        read_frame_times(Timing(path), [replace(i, width=200, height=100) for i in infos(20, 20)])
+
+
 def test_clips_of_different_length_need_a_word():
     with pytest.raises(GofError, match=r"view0 100, view1 60.*--frames 60.*--start 0 0"):
         read_frame_times(Timing(fps=(400.0,)), infos(100, 60))

@@ -140,10 +140,12 @@ def timed(tmp_path, videos, marked=True):
     path = tmp_path / "times.json"
     times_file(path, [clock(100.0 * c) for c in range(len(videos))])
     record = read_record(FrameTimesFile, path)
-    cameras = [
-        replace(entry, name=video.name, video=str(video), fingerprint=fingerprint(video) if marked else None)
-        for entry, video in zip(record.cameras, videos, strict=True)
-    ]
+    cameras = []
+    for entry, video in zip(record.cameras, videos, strict=True):
+        info = stated_info(video)
+        known = {"name": video.name, "video": str(video), "fingerprint": info.fingerprint if marked else None}
+        known["times"] = replace(entry.times, width=info.width, height=info.height)
+        cameras.append(replace(entry, **known))
     write_record(path, replace(record, cameras=tuple(cameras)))
     return path
 

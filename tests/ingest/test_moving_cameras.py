@@ -8,6 +8,7 @@ import pytest
 
 from gof.commands.cli import main as gof
 from gof.core.errors import DataFormatError
+from gof.footage.defects import FrameChanges
 from gof.footage.steadying import corner_moves, find_gains, find_moves, look, steady
 from gof.footage.videos import read_info
 from gof.ingest.footage import Footage, PreparedClip
@@ -253,3 +254,21 @@ def read_picture_of(video: str, number: int) -> np.ndarray:
 def test_how_far_a_corner_goes():
     turn = np.array([[0.0, -1, 0], [1, 0, 0], [0, 0, 1]])  # a quarter turn about the first pixel's centre
     assert corner_moves(turn[None], (3, 3))[0] == pytest.approx(np.hypot(2.5, 2.5) * np.sqrt(2))
+
+
+@pytest.mark.parametrize("shown", [(2,), (2, 3), (3,), (4,), (8,)], ids=["2", "2:3", "3", "4", "8"])
+def test_copies_at_a_higher_rate_have_repeats_most_of_the_time(shown):
+    """Most neighbours of a frame are repeats, too; a film that rests and then burns has none."""
+    rng, changes, repeats = np.random.default_rng(0), FrameChanges(), 0
+    for k in range(40):
+        picture = rng.integers(0, 255, (64, 64, 3)).astype(np.uint8)
+        for _ in range(shown[k % len(shown)]):
+            changes.add(picture)
+        repeats += shown[k % len(shown)] - 1
+    assert len(changes.repeated) > 0.75 * repeats
+    resting = FrameChanges()
+    for k in range(60):
+        resting.add(
+            np.full((64, 64, 3), 10, np.uint8) if k < 30 else rng.integers(0, 255, (64, 64, 3)).astype(np.uint8)
+        )
+    assert len(resting.repeated) <= 1  # the last one before the fire may count

@@ -6,11 +6,11 @@ import pytest
 from gof.commands.ingest import IngestConfig, ingest
 from gof.core.errors import DataFormatError, GofError
 from gof.dataset import Dataset
-from gof.footage.videos import chosen_frames, read_info, stated_fps, stated_frames, stored_frames
+from gof.footage.videos import chosen_frames, read_info, stated_fps, stated_frames, stated_info, stored_frames
 from gof.ingest.footage import Footage
 from gof.ingest.frame_times import Timing
 from tests.ingest.scene import FOCAL, HEIGHT, WIDTH, cameras, draw
-from tests.videos import cut_off, number_of, numbered, set_steps, tag_rotation, write_video
+from tests.videos import cut_off, number_of, numbered, set_steps, tag_matrix, tag_rotation, write_video
 
 pytestmark = pytest.mark.long
 
@@ -153,3 +153,12 @@ def test_phones_that_film_upright_make_a_dataset_that_stands(tmp_path):
     said = dataset.description.provenance["videos"][0]
     assert (said["rotation_deg"], said["width"], said["frames"], said["stated_fps"]) == (90, HEIGHT, 4, 30.0)
     assert dataset.description.cameras[0].roll_deg == 90
+
+
+@pytest.mark.parametrize(
+    "matrix", [(-1, 0, 0, 1), (1, 0, 0, -1), (0, 1, 1, 0)], ids=["sideways", "upside down", "turned"]
+)
+def test_mirrored_films_are_refused(tmp_path, matrix):
+    (path,) = files(tmp_path, lambda path: tag_matrix(path, *matrix))
+    with pytest.raises(DataFormatError, match=r"cam_0.mp4: its matrix says mirrored"):
+        stated_info(path)
