@@ -94,7 +94,7 @@ def place_in_time(
 
 def moving(values: dict[str, np.ndarray], facts: dict[str, Any], start_s: float, unit_s: float) -> TransientGaussians:
     """Return Gaussians of fields as `read` gives them, in seconds and metres per second; their world is taken as it
-    is. What is always on and rests is background."""
+    is. One that is always on and rests is background."""
     velocity = values["velocity"] if facts.get("use_velocity", True) else np.zeros_like(values["velocity"])
     duration = np.maximum(exp(values["log_duration"]), facts.get("min_duration", MIN_DURATION))
     always = duration > FOREVER / 10

@@ -32,7 +32,7 @@ def between_neighbours(dataset: Dataset, camera: int, frame: int, flow: Flow) ->
 def _moved(picture: np.ndarray, flow: np.ndarray) -> np.ndarray:
     """Return the picture moved by `flow` (H, W, 2), px, taken to change slowly over the flow's own length.
 
-    What comes from beyond the edge looks as the edge does.
+    Beyond its edge it goes on as it is there.
     """
     height, width = flow.shape[:2]
     x, y = np.meshgrid(np.arange(width, dtype=np.float32), np.arange(height, dtype=np.float32))

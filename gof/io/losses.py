@@ -38,7 +38,7 @@ class Loss:
 
     Attributes:
         place: of Gaussians.
-        velocity, gas_velocity: of those that move; None where one side has none. What has become background rests.
+        velocity, gas_velocity: of those that move; None where one side has none. Background rests.
         psnr: dB of display values within [0, 1], where either shows something; inf where nothing differs, None where
             nothing is seen.
     """
