@@ -54,10 +54,10 @@ def find_lag(known: np.ndarray, other: np.ndarray, rate: float) -> SoundLag:
     if count == 0 or len(known) < rate * 0.2 or len(other) < rate * 0.2:
         raise NoSoundClock("there is less than 0.2 s of sound")
     starts = np.linspace(0, len(other) - length, count).astype(int)
-    # Lags run from minus the other's length to the known one's: as many again, or a long one comes back as a short one.
-    size = 1 << int(np.ceil(np.log2(2 * max(len(known), len(other)) + length)))
+    # Lags run from minus the other's length to the known one's: in less room, some would come back as others.
+    size = 1 << int(np.ceil(np.log2(len(known) + len(other))))
     lags = np.arange(size)
-    lags[size // 2 :] -= size
+    lags[len(known) :] -= size
     correlations, together = [], np.zeros(size)
     near = int(DRIFTED_S * rate)
     for start in starts:
@@ -65,7 +65,7 @@ def find_lag(known: np.ndarray, other: np.ndarray, rate: float) -> SoundLag:
         found = np.roll(found, -start)  # by the lag of the whole track
         correlations.append(found)
         together += maximum_filter1d(found, 2 * near + 1, mode="wrap") if count > 1 else found
-    meet = (lags > -len(other)) & (lags < len(known))  # beyond, nothing of one is beside anything of the other
+    meet = lags > -len(other)  # beyond, nothing of one is beside anything of the other
     usual = np.median(together[meet])
     spread = np.median(np.abs(together[meet] - usual)) * 1.4826
     peak = int(np.where(meet, together, -np.inf).argmax())

@@ -68,10 +68,8 @@ def _combs(before: np.ndarray, after: np.ndarray) -> tuple[int, int]:
 
 COMPARED_EVERY = 4  # rows and columns of which one is compared
 NEIGHBOURS = 5  # frames on either side
-IN_STEP = (
-    12,
-    3,
-)  # frames on either side that show a copy's step, and how many of them must change: 30 at 240 has one in 8
+# Frames on either side that show a copy's step, and how many of them must change: a film at 30 in 240 has one in eight.
+IN_STEP = 12, 3
 REPEATED_SHARE = 0.1  # of the usual change; single frames of films of fire have 0.5 and more
 CHANGES = 0.2  # levels of 255 by which a film's pictures must change, mean, for a repeat to be one
 
@@ -107,12 +105,13 @@ class FrameChanges:
         if usual > CHANGES:
             return usual if np.isfinite(usual) else 0.0
         reach, least = IN_STEP
-        begin, near = max(k - reach, 0), np.array(self._changes[max(k - reach, 0) : k + reach + 1])
-        largest = near[np.isfinite(near)].max(initial=0)
-        changed = np.flatnonzero(near > REPEATED_SHARE * largest)  # the film's first frame is one
-        steps = np.diff(changed)
-        if largest <= CHANGES or len(changed) < least or np.ptp(steps) > 1:
+        begin = max(k - reach, 0)
+        near = np.array(self._changes[begin : k + reach + 1])
+        changes = near[np.isfinite(near)]  # without those to a picture of another size, as the film's first is
+        of_step = changes[changes > REPEATED_SHARE * changes.max(initial=0)]
+        changed = begin + np.flatnonzero(near > REPEATED_SHARE * changes.max(initial=0))
+        if len(changed) < least or not len(of_step) or np.ptp(np.diff(changed)) > 1:
             return 0.0
-        last = begin + changed[-1]
-        between = begin + changed[0] < k and (k < last or len(self._changes) - last <= steps.max())
-        return float(np.median(near[changed[1:]])) if between else 0.0
+        between = changed[0] < k and (k < changed[-1] or len(self._changes) - changed[-1] <= np.diff(changed).max())
+        usual = float(np.median(of_step))
+        return usual if between and usual > CHANGES else 0.0
