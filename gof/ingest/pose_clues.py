@@ -73,13 +73,16 @@ class PoseOptions:
             if value is not None and not (np.isfinite(value) and value > 0):
                 raise GofError(f"{name} {value}: must be a positive length in metres")
 
-    def require_own_world(self, poses: str) -> None:
-        """Raise GofError: an option names a way up or a length, where known poses already say them."""
-        given = [f"--up {self.up}"] * (self.up != "auto")
-        given += [f"--baseline-m {self.baseline_m}"] * (self.baseline_m is not None)
-        for option in given:
-            what = f"poses are taken over, {poses}, and their axes and scale with them"
-            raise GofError(f"{option}: {what}; leave out {option.split()[0]}")
+    def require_own_up(self, poses: str) -> None:
+        """Raise GofError: an option names a way up, where known poses already say which way it is."""
+        if self.up != "auto":
+            raise GofError(f"--up {self.up}: poses are taken over, {poses}, and their axes with them; leave out --up")
+
+    def require_own_scale(self, poses: str) -> None:
+        """Raise GofError: an option names a length, where known poses are in metres."""
+        if self.baseline_m is not None:
+            what = f"poses are taken over, {poses}, and their scale with them"
+            raise GofError(f"--baseline-m {self.baseline_m}: {what}; leave out --baseline-m")
 
     @property
     def has_length(self) -> bool:

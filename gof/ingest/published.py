@@ -195,7 +195,7 @@ class PublishedFootage(Footage):
 
     def place(self, clips: list[PoseClues], options: PoseOptions) -> Placed:
         """As published. Raises GofError: an option names a way up."""
-        options.require_own_world("those that the scene brings")
+        options.require_own_up("those that the scene brings")
         points = self.meta.points3D @ self.transform[:3, :3].T + self.transform[:3, 3]
         return Placed(self.world_to_camera, points, PoseReport("published", self.scale))
 
