@@ -75,7 +75,11 @@ class FlameVoxels:
 
     @cached_property
     def _whole_pixel(self) -> np.ndarray:
-        """(C, 2, V) int32 column and row of the pixel that each voxel is in; negative where it has none."""
+        """(C, 2, V) int32 column and row of the pixel that each voxel is in; negative where it has none.
+
+        Found once, so places may not change any more.
+        """
+        self.pixel.setflags(write=False)
         with np.errstate(invalid="ignore"):
             place = np.where(self.pixel >= 0, np.minimum(self.pixel, FARTHEST), -1.0)  # NaN is not >= 0
         return np.ascontiguousarray(place.astype(np.int32).swapaxes(1, 2))
@@ -178,7 +182,7 @@ def carve(
         pixel = np.stack([cam.project(center)[0] for cam in cameras])
         voxels = FlameVoxels(center, float(voxel), index, resolution, pixel, np.empty(0), forward)
         if blocked is not None:
-            pixel[voxels.sample(blocked)] = np.nan
+            voxels = replace(voxels, pixel=np.where(voxels.sample(blocked)[..., None], np.nan, pixel))
         hit = voxels.sample(union.astype(np.int8), outside=-1)
         keep = (hit == 1).sum(0) >= least
         if vetoes:

@@ -228,7 +228,7 @@ def test_ftgs_ply_against_the_library(tmp_path):
         cloud = load(file, clock)
         for name in ("position", "velocity", "t_mu", "t_sigma", "scale", "rotation", "opacity"):
             assert np.allclose(getattr(cloud, name), getattr(wanted, name), rtol=1e-5, atol=1e-6), name
-        assert cloud.dynamic.all()
+        assert np.array_equal(cloud.dynamic, wanted.dynamic)
 
 
 def test_ftgs_ply_without_seconds(tmp_path):
