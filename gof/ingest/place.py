@@ -67,8 +67,7 @@ def place_cameras(
     for other in clips[1:]:
         moved[other.name] = require_still(names, clips[0], other.name, other.plates, other.masks)
     if given is not None:
-        options.require_own_up("those of --cameras")
-        options.require_own_scale("those of --cameras")
+        options.require_own_world("those of --cameras")
         check = adjust.check_points(points, lenses, given)
         near = tuple(f"{pair} stand in one place: they tell no depth" for pair in _together(given, names))
         scale = f"{METRES}, from --cameras"
@@ -76,8 +75,7 @@ def place_cameras(
         return Placed(given, np.zeros((0, 3)), report)
 
     if options.rig is not None:
-        options.require_own_up("those of --rig")
-        options.require_own_scale("those of --rig")
+        options.require_own_world("those of --rig")
         moved[options.rig.folder.name] = require_still(names, clips[0], options.rig.folder.name, options.rig.plates)
 
     # ---- solvers, and what the checks say of each --------------------------------------------------------------------

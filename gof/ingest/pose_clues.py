@@ -78,8 +78,9 @@ class PoseOptions:
         if self.up != "auto":
             raise GofError(f"--up {self.up}: poses are taken over, {poses}, and their axes with them; leave out --up")
 
-    def require_own_scale(self, poses: str) -> None:
-        """Raise GofError: an option names a length, where known poses are in metres."""
+    def require_own_world(self, poses: str) -> None:
+        """Raise GofError: as `require_own_up`; or an option names a length, where known poses are in metres."""
+        self.require_own_up(poses)
         if self.baseline_m is not None:
             what = f"poses are taken over, {poses}, and their scale with them"
             raise GofError(f"--baseline-m {self.baseline_m}: {what}; leave out --baseline-m")

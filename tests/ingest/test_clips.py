@@ -362,4 +362,4 @@ def test_plates_that_are_named_as_other_films_are_refused(tmp_path):
 def test_known_poses_leave_no_choice_of_scale():
     options = PoseOptions(baseline_m=1.2)
     with pytest.raises(GofError, match=r"--baseline-m 1.2: poses are taken over, those of --cameras.*leave out --base"):
-        options.require_own_scale("those of --cameras")
+        options.require_own_world("those of --cameras")
