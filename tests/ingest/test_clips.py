@@ -18,7 +18,6 @@ from gof.ingest import plates
 from gof.ingest.fire_free import around, read_plates
 from gof.ingest.footage import Footage, PreparedClip
 from gof.ingest.over_time import LUMA, darkest, largest_change, median
-from gof.ingest.pose_clues import PoseOptions
 from gof.ingest.sfm import PoseError
 from tests.ingest.scene import FOCAL, HEIGHT, WIDTH, cameras, draw, pose_errors
 from tests.videos import tag_rotation, write_video
@@ -359,7 +358,16 @@ def test_plates_that_are_named_as_other_films_are_refused(tmp_path):
         read_plates(folder, opened[1])
 
 
-def test_known_poses_leave_no_choice_of_scale():
-    options = PoseOptions(baseline_m=1.2)
+def test_known_poses_leave_no_choice_of_scale_and_are_those_of_the_other_clips(tmp_path):
+    rig = cameras()
+    path = tmp_path / "cameras.json"
+    path.write_text(json.dumps({"cameras": list(map(by_hand, rig))}))
+    known = {"cameras": path, "times": ("50",), "board": "none"}
+    videos = footage(tmp_path / "a", rig, frames=3)
     with pytest.raises(GofError, match=r"--baseline-m 1.2: poses are taken over, those of --cameras.*leave out --base"):
-        options.require_own_world("those of --cameras")
+        ingest(IngestConfig(videos, tmp_path / "set", baseline_m=1.2, **known))
+    turned = rig[0].world_to_camera.copy()
+    turned[:3] = cv2.Rodrigues(np.array([0, 0.05, 0]))[0] @ turned[:3]
+    other = footage(tmp_path / "b", [replace(rig[0], world_to_camera=turned), *rig[1:]], frames=3)
+    with pytest.raises(PoseError, match="cam_0"):
+        ingest(IngestConfig(videos, tmp_path / "set", with_clip=[other[0].parent], **known))

@@ -222,16 +222,17 @@ def test_damage_is_an_error_or_a_result_and_no_fault(tmp_path):
     assert refused > 100
 
 
+@pytest.mark.parametrize("dynamic", [30, 40])
 @pytest.mark.parametrize("suffix", [".4dgs", ".usda", ".usdc", ".tsog"])
-def test_gas_that_goes_through_light_that_stands_still_comes_back(tmp_path, suffix):
+def test_gas_that_goes_through_light_that_stands_still_comes_back(tmp_path, suffix, dynamic):
     """Nothing but its being dynamic tells such a Gaussian from background."""
     if suffix.startswith(".usd"):
         openusd()
-    still = {"velocity": np.zeros((40, 3)), "t_sigma": np.full(40, np.inf), "dynamic": np.arange(40) < 30}
+    still = {"velocity": np.zeros((40, 3)), "t_sigma": np.full(40, np.inf), "dynamic": np.arange(40) < dynamic}
     g = moving(40, **still)
     frames = {"frame_time_s": 0.1} if suffix.startswith(".usd") else {}
     convert(Imported(g, "gof", tmp_path / "r.npz"), tmp_path / f"a{suffix}", 0.0, 1.0, **frames)
     back = read_result(tmp_path / f"a{suffix}").gaussians
-    assert back.dynamic.sum() == 30
+    assert back.dynamic.sum() == dynamic
     speeds = [np.sort(np.linalg.norm(each.moving_gas, axis=1)) for each in (g, back)]  # each format has its own order
     np.testing.assert_allclose(*speeds, atol=0.05)  # a .4dgs has steps of 0.05 m/s
