@@ -129,6 +129,35 @@ def tag_focal(path: Path, kind: int, value: bytes, key: bytes = b"camera.focal_l
     return path
 
 
+def tag_edits(path: Path, edits: list[tuple[float, float | None]]) -> Path:
+    """Write an edit list, as trimming without coding anew does: (how long, from when on in the stored film), s; None:
+    nothing is shown so long."""
+    units = {}
+
+    def read(kind: bytes, content: bytes) -> bytes:
+        assert content[0] == 0, "OpenCV writes version 0"
+        units[kind] = struct.unpack_from(">I", content, 12)[0]
+        return content
+
+    data = path.read_bytes()
+    for kind in (b"mvhd", b"mdhd"):
+        _changed(data, kind, lambda content, kind=kind: read(kind, content))
+    rows = [
+        struct.pack(
+            ">IiI", round(lasts * units[b"mvhd"]), -1 if begins is None else round(begins * units[b"mdhd"]), 65536
+        )
+        for lasts, begins in edits
+    ]
+    edts = (b"edts", _joined([(b"elst", struct.pack(">II", 0, len(rows)) + b"".join(rows))]))
+
+    def change(content: bytes) -> bytes:
+        head, *others = [box for box in _boxes(content) if box[0] != b"edts"]
+        return _joined([head, edts, *others])
+
+    path.write_bytes(_changed(data, b"trak", change))
+    return path
+
+
 def set_date(path: Path, since_1904_s: int) -> Path:
     """When the file was made."""
 

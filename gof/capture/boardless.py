@@ -21,6 +21,7 @@ from gof.capture.sync import nearest_frames
 from gof.capture.times import Clock, FrameTimesFile, SyncedVideo, VideoTimes
 from gof.core.errors import GofError
 from gof.footage.chapters import chapters_from
+from gof.footage.recording import begins_s
 from gof.footage.videos import VideoInfo, distinct_names, fingerprint, read_info, require_different
 from gof.host.processes import run
 
@@ -100,7 +101,8 @@ def synchronise_without_board(videos: list[Path], rates: Sequence[float | None])
         notes.append("sound: not used, as --fps says that the films do not play at the rate at which they were filmed")
     else:
         try:
-            fits = by_sound(names, [read_sound(info) for info in infos])
+            sounds = [read_sound(info) for info in infos]
+            fits = by_sound(names, sounds, [_begin_sigma_s(info) for info in infos])
         except (NoSound, NoSoundClock) as e:
             notes.append(f"sound: {e}")
     try:
@@ -135,9 +137,20 @@ def _own_times(info: VideoInfo, rate: float | None) -> np.ndarray:
 # ---- sound -----------------------------------------------------------------------------------------------------------
 
 
-def by_sound(names: list[str], sounds: list[np.ndarray]) -> list[ClockFit]:
+def _begin_sigma_s(info: VideoInfo) -> float:
+    """Return how well it is known when a film's first frame comes on the clock of its sound: else to a whole frame."""
+    if begins_s(chapters_from(info.path)[0]) is not None or not info.stated_fps:
+        return 0.0
+    return 1 / info.stated_fps / np.sqrt(12)
+
+
+def by_sound(
+    names: list[str], sounds: list[np.ndarray], begin_sigma_s: Sequence[float] | None = None
+) -> list[ClockFit]:
     """Return each film's clock on the first one's; all pairs are compared, and must close.
 
+    Args:
+        begin_sigma_s: how well each film's first frame is known on its sound's clock; None: exactly.
     Raises:
         NoSoundClock: two tracks do not agree, or the pairs contradict each other.
     """
@@ -147,13 +160,14 @@ def by_sound(names: list[str], sounds: list[np.ndarray]) -> list[ClockFit]:
             lags[one, other] = find_lag(sounds[one], sounds[other], RATE)
         except NoSoundClock as e:
             raise NoSoundClock(f"{names[one]} and {names[other]}: {e}") from e
-    fits = [ClockFit(0.0, 0.0, SOUND_S, "")]
+    begins = begin_sigma_s or [0.0] * len(sounds)
+    fits = [ClockFit(0.0, 0.0, float(np.hypot(SOUND_S, begins[0])), "")]
     for other in range(1, len(sounds)):
         lag = lags[0, other]
         open_s = [abs(lags[0, k].lag_s + lags[k, other].lag_s - lag.lag_s) for k in range(1, other)]
         if open_s and max(open_s) > 2 * SOUND_S:
             raise NoSoundClock(f"the films' sounds contradict each other by {1000 * max(open_s):.1f} ms")
-        sigma = float(np.hypot(SOUND_S, max([lag.sigma_s, *open_s])))
+        sigma = float(np.linalg.norm([SOUND_S, max([lag.sigma_s, *open_s]), begins[0], begins[other]]))
         drift = f", clocks drift by {1e6 * lag.drift:+.0f} us per s" if lag.drift else ""
         note = (
             f"its times are by SOUND against {names[0]}: {lag.heard} of {lag.stretches} stretches agree, to "

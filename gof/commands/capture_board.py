@@ -12,10 +12,11 @@ from gof.capture.controller import RESET_SAID, Board, BoardError, ask_ports, can
 from gof.capture.protocol import BoardState, Status
 from gof.commands.everywhere import write_figures
 from gof.commands.read import Seconds, read_options
-from gof.host.options import require_number
+from gof.host.options import require_not_given, require_number
 
 MOST_JITTER_US = 20.0  # of a tick: the order of what cameras' times are read to
 MOST_DAMAGED = 10
+ONLY_FOR = {"tick_us": "set", "count": "set", "light": "test", "seconds": "monitor"}  # options by their only action
 
 
 @dataclass(frozen=True)
@@ -48,6 +49,8 @@ def main(argv: list[str]) -> int:
     """Run one board action. Raises BoardError or ProtocolError with what to do."""
     config = read_options(BoardConfig, "capture board", argv)
     require_number("--seconds", config.seconds, least=0)
+    idle = [name for name, action in ONLY_FOR.items() if action != config.action]
+    require_not_given(config, idle, f"changes nothing in {config.action}")
     outcome = _find() if config.action == "find" and config.port is None else _act(config)
     write_figures(outcome)
     return 1 if outcome.get("bad_outputs") else 0

@@ -23,7 +23,7 @@ from gof.commands.read import Microseconds, Rate, read_options
 from gof.core.errors import GofError
 from gof.core.records import write_record
 from gof.footage.videos import chapter_lines, distinct_names, require_different
-from gof.host.options import require_all_positive, require_number, require_positive
+from gof.host.options import require_all_positive, require_not_given, require_number, require_positive
 from gof.look.charts import frame_times_chart
 from gof.look.drawing import Chart
 from gof.look.sync_report import write_report
@@ -32,6 +32,7 @@ NO_MARKER = (
     "is it whole, lit, and at least about 20 pixels wide? A board of your own wants --board FILE; where its marker is "
     "partly hidden all through the take, name the board (--board gof_board) and mark four points of it: --board-points"
 )
+OF_BOARDS = ("board_points", "tick_us", "clock", "row_time", "readout", "estimate")  # options
 WAYS_OUT = (
     "Without a board, give gof ingest the cameras' rate, and a frame of each that shows one moment: "
     "--times 240 --start 0 7 0"
@@ -113,11 +114,14 @@ def find_clocks(config: SyncConfig) -> FrameTimesFile:
         print(line)
     board = None if config.board == NO_BOARD else recognise(config.board, first_frames(config.videos))
     if board is None:
+        reason = "--board none" if config.board == NO_BOARD else f"no board is recognised ({NO_MARKER})"
+        require_not_given(config, OF_BOARDS, f"for the light of a board's lamps, and {reason}")
         return sync_without_board(config, decoding, names, folder, written)
+    if isinstance(board, RingBoard):
+        why = "a ring board has one speed, and is found anew in every frame by its marker, which must be whole"
+        require_not_given(config, ("tick_us", "board_points"), why)
     points = None
-    if config.board_points is not None:
-        if isinstance(board, RingBoard):
-            raise GofError("--board-points: a ring board is found anew in every frame; its marker must be whole")
+    if config.board_points is not None and not isinstance(board, RingBoard):
         points = read_board_points(config.board_points, board, names)
     charts: dict[str, Chart] = {}
 

@@ -19,6 +19,7 @@ from gof.core.fields import VelocitySequence
 from gof.core.files import path_in, stamp
 from gof.core.flow import read_flow
 from gof.core.records import to_json
+from gof.dataset.poses import Poses
 from gof.footage.pictures import read_picture
 
 SEEN = ("rgb", "static", "mask", "board_mask")  # kinds of files that are made something from
@@ -79,6 +80,12 @@ class Dataset:
     def datum(self) -> Datum:
         """Return the datum of places and times; zeros unless float32 would round the values."""
         return self.description.datum
+
+    def sparse_points(self) -> np.ndarray:
+        """Return (N, 3) points of what stands still, found with the poses, measured from the datum as the cameras are;
+        none where the poses are not from footage."""
+        poses = Poses.read(self.path)
+        return np.zeros((0, 3)) if poses is None else poses.points_array() - self.datum.position
 
     @property
     def train_frames(self) -> list[int]:

@@ -1,5 +1,5 @@
-"""The part of a video file's header that OpenCV does not tell: its video tracks, their colours, and whether frames are
-two fields."""
+"""The part of a video file's header that OpenCV does not tell: its video tracks, when they begin, their colours, and
+whether frames are two fields."""
 
 from __future__ import annotations
 
@@ -9,11 +9,13 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import BinaryIO
 
+import numpy as np
+
 from gof.footage.colour import UNKNOWN, UNSAID, Colour
 
+MOST_FRAMES = 1 << 26  # of one track: a week at 100 per second
 MOST_READ = 1 << 20  # bytes at the beginning of an AVI or Matroska file in which its tracks are listed
 FROM_1904_TO_1970 = 2_082_844_800  # s; MP4 counts from 1904
-HIGH_PROFILES = (100, 110, 122, 244, 44, 83, 86, 118, 128, 138, 139, 134, 135)  # of H.264, which state a chroma format
 FOCAL_KEY = b"com.apple.quicktime.camera.focal_length.35mm_equivalent"
 LONGEST_FOCAL_MM = 10_000.0
 DAMAGED = (struct.error, IndexError, ValueError, OverflowError)  # a file that is wrong here is OpenCV's to refuse
@@ -25,7 +27,8 @@ class VideoTrack:
 
     Attributes:
         width, height: px, as the container states them.
-        frames: how many; None: not stated.
+        frames: how many players show; None: not stated.
+        begins_s: when the first of them comes on the file's clock, exactly; None: not stated so.
         usual: whether players show it unless told otherwise.
         interlaced: whether the container says that a frame is two fields.
         colour: what its code values mean.
@@ -39,6 +42,7 @@ class VideoTrack:
     interlaced: bool = False
     colour: Colour = UNKNOWN
     mirrored: bool = False
+    begins_s: float | None = None
 
     def __str__(self) -> str:
         return f"{self.width}x{self.height}" + (f" with {self.frames} frames" if self.frames else "")
@@ -153,8 +157,8 @@ def _tracks_of_mp4(header: bytes) -> Iterator[VideoTrack]:
         width, height = struct.unpack_from(">HH", header, entry + 32)
         more = entry + 86, entry + struct.unpack_from(">I", header, entry)[0]
         fields = inside(header, *more, b"fiel")
-        sizes = inside(header, *table, b"stsz")
-        frames = struct.unpack_from(">I", header, sizes[0] + 8)[0] if sizes else 0
+        units = _timescale(header, *trak, b"mdia", b"mdhd")
+        frames, begins_s = _shown(_frame_times(header, *table), units, header, trak)
         yield VideoTrack(
             width,
             height,
@@ -163,7 +167,64 @@ def _tracks_of_mp4(header: bytes) -> Iterator[VideoTrack]:
             fields is not None and header[fields[0]] == 2,
             _colour_of_mp4(header, *more),
             _is_mirrored(header, shown[0]),
+            begins_s,
         )
+
+
+def _timescale(header: bytes, start: int, end: int, *path: bytes) -> int:
+    """Return the units per second of a box `mvhd` or `mdhd`. Raises ValueError: it is absent or 0."""
+    at = (inside(header, start, end, *path) or (end, end))[0]
+    if (units := struct.unpack_from(">I", header, at + (20 if header[at] == 1 else 12))[0]) == 0:
+        raise ValueError("a clock without units")
+    return units
+
+
+def _frame_times(header: bytes, start: int, end: int) -> np.ndarray:
+    """Return (N,) int64: when a track's frames are shown, in its units, before any edit; (0,) in a file of fragments.
+
+    Raises:
+        ValueError: it claims too many.
+    """
+
+    def repeated(kind: bytes) -> np.ndarray | None:
+        if (box := inside(header, start, end, kind)) is None:
+            return None
+        count = struct.unpack_from(">I", header, box[0] + 4)[0]
+        counts, values = np.frombuffer(header, ">i4", 2 * count, box[0] + 8).reshape(-1, 2).T.astype(np.int64)
+        if not 0 <= counts.sum() <= MOST_FRAMES:
+            raise ValueError(f"a track claims {counts.sum()} frames")
+        return np.repeat(values, counts)
+
+    if (steps := repeated(b"stts")) is None:
+        return np.zeros(0, np.int64)
+    decoded = np.cumsum(steps) - steps
+    late = repeated(b"ctts")
+    return decoded if late is None or len(late) != len(decoded) else decoded + late
+
+
+def _shown(times: np.ndarray, units: int, header: bytes, trak: tuple[int, int]) -> tuple[int, float | None]:
+    """Return how many of a track's frames players show by its edit list, and when the first of them comes, s.
+
+    Args:
+        times: (N,) of all frames, of `units` per second.
+    """
+    if not len(times):
+        return 0, None
+    box = inside(header, *trak, b"edts", b"elst")
+    if box is None:
+        return len(times), float(times.min() / units)
+    count, form = struct.unpack_from(">I", header, box[0] + 4)[0], ">Qqi" if header[box[0]] == 1 else ">Iii"
+    per_second = _timescale(header, 0, len(header), b"mvhd")
+    shown, begins_s, now_s = 0, None, 0.0
+    for k in range(count):
+        lasts, begins, _ = struct.unpack_from(form, header, box[0] + 8 + k * struct.calcsize(form))
+        end = begins + lasts * units / per_second if lasts else np.inf
+        part = times[(times >= begins) & (times < end)] if begins >= 0 else times[:0]
+        shown += len(part)
+        if len(part) and begins_s is None:
+            begins_s = now_s + float(part.min() - begins) / units
+        now_s += lasts / per_second
+    return shown, begins_s
 
 
 def _is_mirrored(header: bytes, at: int) -> bool:
@@ -241,78 +302,6 @@ def _variable(data: bytes, at: int, marked: bool = False) -> tuple[int | None, i
 def _number_in(data: bytes, place: tuple[int, int], wanted: int, default: int) -> int:
     found = next(_elements(data, *place, wanted), None)
     return default if found is None else int.from_bytes(data[slice(*found)], "big")
-
-
-# ---- codecs ----------------------------------------------------------------------------------------------------------
-
-
-def codes_fields(codec: bytes, description: bytes) -> bool:
-    """Return whether a codec's description of its stream allows frames of two fields: H.264, MPEG-2 and DV say so.
-
-    Args:
-        codec: FFmpeg's four letters.   description: what the container hands to the decoder ("extradata").
-    """
-    try:
-        if codec.lower() in (b"h264", b"avc1"):
-            return _h264_codes_fields(description)
-        if codec.lower() in (b"mpg2", b"mpeg"):
-            at = description.find(b"\0\0\1\xb5")  # the sequence's extension: its 13th bit says "progressive"
-            return at >= 0 and description[at + 4] >> 4 == 1 and not description[at + 5] & 8
-    except DAMAGED:
-        return False
-    return codec[:3].lower() in (b"dvs", b"dvc", b"dvp")
-
-
-def _h264_codes_fields(description: bytes) -> bool:
-    """By frame_mbs_only_flag of the first sequence parameter set (ITU-T H.264, 7.3.2.1.1)."""
-    if description[:1] == b"\1":
-        start = 8
-    else:
-        starts = (k + 3 for k in range(len(description) - 4) if description[k : k + 3] == b"\0\0\1")
-        start = next((k for k in starts if description[k] & 31 == 7), len(description))
-    bits = _Bits(description[start + 1 : start + 256].replace(b"\0\0\3", b"\0\0"))
-    profile = bits.read(8)
-    bits.read(16)
-    bits.exp_golomb()
-    if profile in HIGH_PROFILES:
-        if bits.exp_golomb() == 3:
-            bits.read(1)
-        bits.exp_golomb()
-        bits.exp_golomb()
-        bits.read(1)
-        if bits.read(1):
-            return False  # scaling lists: not followed
-    bits.exp_golomb()
-    order = bits.exp_golomb()
-    if order == 0:
-        bits.exp_golomb()
-    elif order == 1:
-        bits.read(1)
-        for _ in range(2):
-            bits.exp_golomb()
-        for _ in range(min(bits.exp_golomb(), 255)):
-            bits.exp_golomb()
-    bits.exp_golomb()
-    bits.read(1)
-    bits.exp_golomb()
-    bits.exp_golomb()
-    return not bits.read(1)
-
-
-class _Bits:
-    """A reader of bits, the highest of a byte first."""
-
-    def __init__(self, data: bytes):
-        self._bits, self._at = "".join(f"{byte:08b}" for byte in data), 0
-
-    def read(self, count: int) -> int:
-        self._at += count
-        return int(self._bits[self._at - count : self._at], 2)
-
-    def exp_golomb(self) -> int:
-        zeros = self._bits.index("1", self._at) - self._at
-        self._at += zeros
-        return self.read(zeros + 1) - 1
 
 
 # ----------------------------------------------------------------

@@ -66,7 +66,7 @@ class OpenRecording:
         for file, stated in zip(files[1:], statements[1:], strict=True):
             stated.require_like(statements[0], file, files[0])
         self._video = _capture(files[0])
-        counts = [s.frames for s in statements] or [self.stated("FRAME_COUNT")]
+        counts = [s.frames for s in statements] or [_stated_frames(files[0], self._video)]
         self.stated_frames = None if None in counts else round(sum(count or 0 for count in counts))
 
     def close(self) -> None:
@@ -92,7 +92,10 @@ class OpenRecording:
         own_s = self._video.get(cv2.CAP_PROP_POS_MSEC) * 1e-3
         if not self._stamps:
             rate = self.stated("FPS")
-            start_s = max(self._video.get(cv2.CAP_PROP_PTS), 0.0) / rate if rate else 0.0
+            # OpenCV tells it in whole frames only.
+            start_s = begins_s(self.files[self._chapter])
+            if start_s is None:
+                start_s = max(self._video.get(cv2.CAP_PROP_PTS), 0.0) / rate if rate else 0.0
             if self._chapter > 0:
                 self._zero_s -= own_s  # stamps may not begin at zero
             self.begins_s.append((self._zero_s + own_s, start_s))
@@ -170,7 +173,7 @@ class _Statements:
             size = _stated(video, "FRAME_WIDTH"), _stated(video, "FRAME_HEIGHT")
             codec = int(_stated(video, "FOURCC") or 0).to_bytes(4, "little").decode("latin-1").strip("\0 ")
             turned = _stated(video, "ORIENTATION_META") or 0.0
-            return cls(*size, _stated(video, "FPS"), codec, turned, _stated(video, "FRAME_COUNT"))
+            return cls(*size, _stated(video, "FPS"), codec, turned, _stated_frames(path, video))
         finally:
             video.release()
 
@@ -210,6 +213,20 @@ def _stated(video: cv2.VideoCapture, name: str) -> float | None:
 
     value = video.get(getattr(cv2, f"CAP_PROP_{name}"))
     return value if np.isfinite(value) and value > 0 else None
+
+
+def _stated_frames(path: Path, video: cv2.VideoCapture) -> float | None:
+    """Return how many frames a file states. OpenCV counts those, too, that its edit list (of a film that was trimmed)
+    leaves out, and does not read them."""
+    shown = [track.frames for track in video_tracks(path)[:1] if track.begins_s is not None]
+    return shown[0] if shown else _stated(video, "FRAME_COUNT")
+
+
+def begins_s(path: Path) -> float | None:
+    """Return when the first frame of a file comes on the file's clock, s; None where its container does not state
+    it."""
+    tracks = video_tracks(path)
+    return tracks[0].begins_s if tracks else None
 
 
 def _require_the_film_first(path: Path) -> None:

@@ -17,8 +17,9 @@ import numpy as np
 
 from gof.core.errors import DataFormatError
 from gof.footage.chapters import chapters_before, chapters_from
+from gof.footage.codecs import CodedStream
 from gof.footage.colour import UNKNOWN, Colour
-from gof.footage.containers import codes_fields, focal_35mm, made_at, video_tracks
+from gof.footage.containers import focal_35mm, made_at, video_tracks
 from gof.footage.defects import FrameChanges, find_combs
 from gof.footage.folders import PICTURES, UNREAD, loose_pictures, numbered_pictures, picture_files
 from gof.footage.pictures import read_picture, read_rotation
@@ -155,9 +156,12 @@ def chosen_frames(path: Path, numbers: Iterable[int]) -> Iterator[np.ndarray]:
 
 
 def colour_of(path: Path) -> Colour:
-    """Return what the code values of a video's film, its first video track, mean."""
-    tracks = video_tracks(path) if path.is_file() else []
-    return tracks[0].colour if tracks else UNKNOWN
+    """Return what the code values of a video's film, its first video track, mean: by its container, else by its
+    stream."""
+    if not path.is_file():
+        return UNKNOWN
+    stated = [track.colour for track in video_tracks(path)[:1] if track.colour != UNKNOWN]
+    return stated[0] if stated else _coded_stream(path).colour
 
 
 def _require_length(path: Path, numbers: list[int], read: int, number: int | None = None) -> None:
@@ -275,8 +279,7 @@ def stated_info(path: Path) -> VideoInfo:
             focal_35mm=focal_35mm(path),
             chapters=tuple(file.name for file in video.files if len(video.files) > 1),
             colour=colour_of(path).name,
-            two_fields=any(track.interlaced for track in video_tracks(path)[:1])
-            or codes_fields(int(stated("FOURCC") or 0).to_bytes(4, "little"), _description(path)),
+            two_fields=any(track.interlaced for track in video_tracks(path)[:1]) or _coded_stream(path).two_fields,
         )
 
 
@@ -293,16 +296,17 @@ def _rotation(files: list[Path]) -> int:
     return first
 
 
-def _description(path: Path) -> bytes:
-    """Return the bytes that the container hands to the video's decoder; empty where OpenCV does not tell."""
+def _coded_stream(path: Path) -> CodedStream:
+    """Return the statements of a video's stream; none where OpenCV does not tell."""
     import cv2
 
     video = cv2.VideoCapture(str(path), cv2.CAP_FFMPEG, [cv2.CAP_PROP_FORMAT, -1])
     try:
+        codec = int(max(video.get(cv2.CAP_PROP_FOURCC), 0)).to_bytes(4, "little")
         ok, data = video.retrieve(None, int(video.get(cv2.CAP_PROP_CODEC_EXTRADATA_INDEX)))
-        return np.ravel(data).tobytes() if ok and data is not None else b""
+        return CodedStream.of(codec, np.ravel(data).tobytes() if ok and data is not None else b"")
     except cv2.error:
-        return b""
+        return CodedStream()
     finally:
         video.release()
 

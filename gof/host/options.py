@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Collection, Iterable
+from dataclasses import MISSING, fields
 from types import UnionType
 from typing import Any, Literal, Union, get_args, get_origin, get_type_hints
 
@@ -56,6 +57,21 @@ def require_choices(record: Any, called: Callable[[str], str]) -> None:
         value = getattr(record, name)
         if choices and not (value is None and type(None) in parts):
             require_choice(called(name), value, choices)
+
+
+def require_not_given(config: Any, idle: Collection[str], why: str) -> None:
+    """Make sure that options which would change nothing are not given: who gives one believes that it counts.
+
+    Args:
+        config: dataclass of options.   idle: names of those fields.   why: they would change nothing, in words.
+    Raises:
+        GofError: one has another value than its default (names all of them).
+    """
+    usual = {f.name: f.default if f.default_factory is MISSING else f.default_factory() for f in fields(config)}
+    given = [name for name in idle if getattr(config, name) != usual[name]]
+    given = [f"--{'no-' if usual[name] is True else ''}{name.replace('_', '-')}" for name in given]
+    if given:
+        raise GofError(f"{', '.join(given)}: {why}; leave out {' and '.join(given)}")
 
 
 def require_positive(flag: str, value: float | None) -> None:

@@ -18,6 +18,8 @@ from gof.ingest.pose_clues import PoseClues, PoseOptions
 from gof.ingest.sfm import PoseError
 from gof.ingest.up import MOST_SPREAD_DEG, RESAMPLED, Edges, angle_deg, cameras_up, up_from_board, up_from_edges
 
+MOST_APART = 0.08  # relative; of two lengths of one world that differ by more one is wrong
+
 
 def metric_scale(poses: np.ndarray, check: PointCheck | None, options: PoseOptions) -> tuple[float, str]:
     """Factor from the poses' unit to metres, and words on where it is from."""
@@ -28,6 +30,7 @@ def metric_scale(poses: np.ndarray, check: PointCheck | None, options: PoseOptio
             "the first and the last camera stand at the same place; depth cannot be seen from one place"
         )
     if options.baseline_m is not None:
+        require_one_scale(check, options.baseline_m / baseline, options, "--baseline-m")
         words = f"{METRES}, from the distance of {options.baseline_m:g} m between first and last camera"
         return options.baseline_m / baseline, words
     if not options.has_length:
@@ -38,6 +41,18 @@ def metric_scale(poses: np.ndarray, check: PointCheck | None, options: PoseOptio
             "the scale is to come from marked points, but fewer than two with xyz are in two views; use --baseline-m"
         )
     return check.metres_per_unit, f"{METRES}, from points of known size (spread {check.spread:.1%})"
+
+
+def require_one_scale(check: PointCheck | None, metres_per_unit: float, options: PoseOptions, whose: str) -> None:
+    """Raise PoseError: the scale of the poses, known by `whose` words, contradicts marked points of known size."""
+    if not options.has_length or check is None or not check.metres_per_unit:
+        return
+    larger = check.metres_per_unit / metres_per_unit
+    if abs(larger - 1) > MOST_APART:
+        raise sfm.PoseError(
+            f"marked points of known size (--marker-mm, or xyz of --points) and {whose} contradict each other: by the "
+            f"points the world is {larger:.3g} times as large; leave out the one that is wrong"
+        )
 
 
 def find_up(

@@ -18,7 +18,6 @@ from gof.core.records import claim
 from gof.dataset import Dataset
 from gof.dataset.leaks import MadeFrom, require_no_leaks
 from gof.dataset.poses import FILE as POSES
-from gof.dataset.poses import Poses
 from gof.host import extras
 from gof.ingest.stereo import stereo_depth
 
@@ -193,10 +192,8 @@ def write_plate_depths(dataset: Dataset, weights: Path | None = None, overwrite:
         if file.exists() and not overwrite:
             raise GofError(f"{file}: is there already; replace it with --overwrite")
     require_no_leaks(dataset)
-    poses = Poses.read(dataset.path)
-    sparse = np.zeros((0, 3)) if poses is None else poses.points_array() - dataset.datum.position
     plates = [np.rint(255 * dataset.static(c)).astype(np.uint8) for c in range(len(dataset.cameras))]
-    found = stereo_depth(plates, dataset.cameras, sparse)
+    found = stereo_depth(plates, dataset.cameras, dataset.sparse_points())
     maps = [whole_depth(partial, plate, weights) for partial, plate in zip(found, plates, strict=True)]
     clouds = [
         back_project(depth, plate, camera) for depth, plate, camera in zip(maps, plates, dataset.cameras, strict=True)
@@ -281,8 +278,7 @@ def write_frame_depths(
     shares = []
     with only_run_in(out):
         claim(out / "depth.json", DepthSettings.of(dataset, weights), out / "made_from.json")
-        poses = Poses.read(dataset.path)
-        points = np.zeros((0, 3)) if poses is None else poses.points_array()
+        points = dataset.sparse_points()
         made = MadeFrom.read(out)
         files = dict(made.files) if made else {}
         for done, frame in enumerate(frames):

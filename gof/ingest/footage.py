@@ -25,7 +25,7 @@ from gof.ingest.agreement import other_notes, require_square_pixels, turns_by_ta
 from gof.ingest.focal import FEWEST_CAMERAS, ChosenLenses, LensSearch, require_findable, start_search
 from gof.ingest.frame_times import FrameTimes, Timing, read_frame_times
 from gof.ingest.place import Placed, place_cameras
-from gof.ingest.pose_clues import PoseClues, PoseOptions
+from gof.ingest.pose_clues import CHOICES, PoseClues, PoseOptions
 
 
 @dataclass(frozen=True)
@@ -186,6 +186,13 @@ class Footage:
         """Return which frames are used, and when they were taken. Raises GofError as `read_frame_times`."""
         return read_frame_times(timing, list(self.infos)).turned(self.turns)
 
+    def require_fitting(self, options: PoseOptions) -> None:
+        """Raise GofError: poses are known, and an option would choose others."""
+        if self.world_to_camera is not None:
+            options.require_no_choice("those of --cameras", (*CHOICES, "rig", "sketch"))
+        elif options.rig is not None:
+            options.require_no_choice("those of --rig", CHOICES)
+
     def place(self, clips: list[PoseClues], options: PoseOptions) -> Placed:
         """Return the cameras' poses, from this clip and others of the same rig; see `place_cameras`."""
         return place_cameras(clips, self.upright_lenses, self.names, self.world_to_camera, options, self.search)
@@ -247,9 +254,13 @@ def _described(info: VideoInfo) -> dict[str, Any]:
 
 
 def _poses(cameras: list[CalibratedCamera]) -> np.ndarray | None:
-    """Return (C, 4, 4), or None unless every camera has a pose of its own."""
+    """Return (C, 4, 4); None where no camera has a pose. Raises DataFormatError: some have none of their own."""
     poses = {camera.world_to_camera for camera in cameras if camera.world_to_camera is not None}
-    return np.array([c.world_to_camera for c in cameras]) if len(poses) == len(cameras) else None
+    if poses and len(poses) < len(cameras):
+        raise DataFormatError(
+            f"--cameras: {len(poses)} poses (world_to_camera) for {len(cameras)} cameras; give each its own, or none"
+        )
+    return np.array([c.world_to_camera for c in cameras]) if poses else None
 
 
 # ----------------------------------------------------------------

@@ -31,10 +31,11 @@ def median(clip: Collection[np.ndarray]) -> np.ndarray:
     Found bit by bit: the median has a bit if at most half of the values lie below the number that this bit completes.
     """
     below = (len(clip) - 1) // 2  # so many values may lie below the median
+    frames_counted = np.min_scalar_type(len(clip))
     found = np.zeros((), np.uint8)  # of all values alike, before the first bit
     for bit in (128, 64, 32, 16, 8, 4, 2, 1):
         tried, frames = found + np.uint8(bit), iter(clip)
-        count = (next(frames) < tried).astype(np.uint16)
+        count = (next(frames) < tried).astype(frames_counted)
         for frame in frames:
             count += frame < tried
         found = np.where(count <= below, tried, found)

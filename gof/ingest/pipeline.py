@@ -146,6 +146,7 @@ def make_dataset(
             the stages for what can be wrong with footage, times and poses.
     """
     require_new(out, overwrite)
+    footage.require_fitting(pose_options)
     for given in (*footage.videos, *([plate.folder] if plate.folder else [])) if overwrite else ():
         if given.resolve().is_relative_to(out.resolve()):
             raise GofError(f"{given}: lies in {out}, which --overwrite replaces; move it elsewhere first")

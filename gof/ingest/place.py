@@ -15,7 +15,7 @@ from gof.dataset.poses import FeatureFigures, PointCheck, PoseReport
 from gof.footage.flame_mask import flame_mask
 from gof.footage.lens import Lens
 from gof.ingest import adjust, sfm
-from gof.ingest.axes import find_up, metric_scale, upright_world
+from gof.ingest.axes import find_up, metric_scale, require_one_scale, upright_world
 from gof.ingest.by_flame import place_by_flame
 from gof.ingest.flame_features import FlameFeatures
 from gof.ingest.focal import ChosenLenses, LensSearch, choose_lenses
@@ -67,15 +67,14 @@ def place_cameras(
     for other in clips[1:]:
         moved[other.name] = require_still(names, clips[0], other.name, other.plates, other.masks)
     if given is not None:
-        options.require_own_world("those of --cameras")
         check = adjust.check_points(points, lenses, given)
+        require_one_scale(check, 1.0, options, "the poses of --cameras")
         near = tuple(f"{pair} stand in one place: they tell no depth" for pair in _together(given, names))
         scale = f"{METRES}, from --cameras"
         report = PoseReport("--cameras", scale, notes + near, check=check, moved=moved or None)
         return Placed(given, np.zeros((0, 3)), report)
 
     if options.rig is not None:
-        options.require_own_world("those of --rig")
         moved[options.rig.folder.name] = require_still(names, clips[0], options.rig.folder.name, options.rig.plates)
 
     # ---- solvers, and what the checks say of each --------------------------------------------------------------------
@@ -90,6 +89,7 @@ def place_cameras(
         )
         if chosen.refused:
             raise sfm.PoseError(_advice([chosen], solved.figures, clips[0].notes))
+        require_one_scale(chosen.check, 1.0, options, f"the rig of {rig.folder.name}")
         chains = adjust.tracks(solved.features, lenses, rig.world_to_camera, sfm.GATE_PX)
         cloud = adjust.triangulated(rig.world_to_camera, lenses, chains)
         scale = f"{rig.scale}, by the rig of {rig.folder.name}"

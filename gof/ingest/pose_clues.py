@@ -32,6 +32,18 @@ SAME_LENS = 0.01  # relative difference of two lenses that are taken for one
 Solver = Literal["auto", "features", "points"]
 
 
+OPTIONS = {
+    "solver": "--poses",
+    "by_hand": "--points",
+    "marker_m": "--marker-mm",
+    "baseline_m": "--baseline-m",
+    "rig": "--rig",
+    "sketch": "--rig",
+    "up": "--up",
+}
+CHOICES = ("solver", "baseline_m", "up")  # by which poses are found, measured and turned upright
+
+
 @dataclass(frozen=True)
 class PoseOptions:
     """Facts of the scene that are known beside its pictures.
@@ -73,17 +85,17 @@ class PoseOptions:
             if value is not None and not (np.isfinite(value) and value > 0):
                 raise GofError(f"{name} {value}: must be a positive length in metres")
 
-    def require_own_up(self, poses: str) -> None:
-        """Raise GofError: an option names a way up, where known poses already say which way it is."""
-        if self.up != "auto":
-            raise GofError(f"--up {self.up}: poses are taken over, {poses}, and their axes with them; leave out --up")
+    def require_no_choice(self, poses: str, idle: Collection[str]) -> None:
+        """Raise GofError: an option would choose what known poses already say.
 
-    def require_own_world(self, poses: str) -> None:
-        """Raise GofError: as `require_own_up`; or an option names a length, where known poses are in metres."""
-        self.require_own_up(poses)
-        if self.baseline_m is not None:
-            what = f"poses are taken over, {poses}, and their scale with them"
-            raise GofError(f"--baseline-m {self.baseline_m}: {what}; leave out --baseline-m")
+        Args:
+            poses: whose they are, in words.   idle: attributes, keys of OPTIONS, that would change nothing.
+        """
+        usual = PoseOptions()
+        given = sorted({OPTIONS[name] for name in idle if getattr(self, name) != getattr(usual, name)})
+        if given:
+            what = f"poses are taken over, {poses}, with their axes and their scale"
+            raise GofError(f"{', '.join(given)}: {what}; leave out {' and '.join(given)}")
 
     @property
     def has_length(self) -> bool:

@@ -34,7 +34,7 @@ from gof.ingest.footage import Footage
 from gof.ingest.frame_times import FrameTimes, Timing
 from gof.ingest.pairing import pair
 from gof.ingest.place import Placed
-from gof.ingest.pose_clues import PoseClues, PoseOptions
+from gof.ingest.pose_clues import OPTIONS, PoseClues, PoseOptions
 
 META = "meta.npz"
 ZOOM = 1.03  # of their undistorted camera, so that no black borders are left
@@ -193,9 +193,12 @@ class PublishedFootage(Footage):
             meta.camera_matrix[camera], meta.dist_coeffs[camera], self.lenses[camera], self.turns[camera]
         )
 
+    def require_fitting(self, options: PoseOptions) -> None:
+        """Raise GofError: an option would choose other poses, or a scale in another way than --baseline-m."""
+        options.require_no_choice("those that the scene brings", OPTIONS.keys() - {"baseline_m"})
+
     def place(self, clips: list[PoseClues], options: PoseOptions) -> Placed:
-        """As published. Raises GofError: an option names a way up."""
-        options.require_own_up("those that the scene brings")
+        """As published."""
         points = self.meta.points3D @ self.transform[:3, :3].T + self.transform[:3, 3]
         return Placed(self.world_to_camera, points, PoseReport("published", self.scale))
 

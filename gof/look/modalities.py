@@ -14,7 +14,6 @@ from gof.core.gaussians import TransientGaussians
 from gof.core.npz import read_npy
 from gof.dataset import Dataset
 from gof.dataset.plates import background
-from gof.dataset.poses import Poses
 from gof.evaluate.depth import read_depth
 from gof.evaluate.screen_motion import ScreenVelocity, sideways_velocity
 from gof.ingest.depth import align, from_relative, monocular
@@ -144,9 +143,7 @@ class _FrameTiles:
         if len(self.dataset.cameras) < 2:
             return "one camera has no stereo"
         plates = [np.rint(255 * self.dataset.static(c)).astype(np.uint8) for c in range(len(self.dataset.cameras))]
-        poses = Poses.read(self.dataset.path)
-        points = np.zeros((0, 3)) if poses is None else poses.points_array()
-        depth = stereo_depth(plates, self.dataset.cameras, points)[self.number]
+        depth = stereo_depth(plates, self.dataset.cameras, self.dataset.sparse_points())[self.number]
         return depth if np.isfinite(depth).any() else "no second view confirms any"
 
     def _monocular(self, stereo: np.ndarray | str) -> np.ndarray | str:

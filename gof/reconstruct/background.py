@@ -22,7 +22,6 @@ from gof.core.records import claim, is_replaced
 from gof.dataset import Dataset
 from gof.dataset.leaks import require_no_leaks
 from gof.dataset.poses import FILE as POSES
-from gof.dataset.poses import Poses
 from gof.host.options import require_whole
 from gof.host.terminal import progress_bar
 from gof.ingest import depth as depth_maps
@@ -188,10 +187,8 @@ def plate_depths(dataset: Dataset, plates: Sequence[np.ndarray], weights: Path |
         return [_stored_depth(file, plate.shape[1::-1]) for file, plate in zip(files, plates, strict=True)]
     if len(plates) < 2:
         raise GofError(f"{dataset.path}: one camera has no stereo depth; give depth/{files[0].name}")
-    poses = Poses.read(dataset.path)
-    points = np.zeros((0, 3)) if poses is None else poses.points_array() - dataset.datum.position
     pictures = [np.rint(255 * plate).astype(np.uint8) for plate in plates]
-    partial = stereo_depth(pictures, dataset.cameras, points)
+    partial = stereo_depth(pictures, dataset.cameras, dataset.sparse_points())
     return [depth_maps.whole_depth(d, picture, weights) for d, picture in zip(partial, pictures, strict=True)]
 
 

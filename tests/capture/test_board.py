@@ -87,6 +87,13 @@ def test_command_line_session(start_emulator, tmp_path, capsys):
     assert json.loads((tmp_path / "out.json").read_text())["status"]["state"] == "STOPPED"
 
 
+def test_options_of_another_action_are_refused(capsys):
+    """Before any board is looked for: with --tick-us 410, start would have run the board at its old speed."""
+    for action, *options in (["start", "--tick-us", "410"], ["find", "--count", "0"], ["set", "--seconds", "1"]):
+        assert gof(["capture", "board", action, *options]) == 1
+        assert f"{options[0]}: changes nothing in {action}; leave out {options[0]}" in capsys.readouterr().err
+
+
 def test_line_noise_between_requests_is_survived(start_emulator):
     _, port = start_emulator()
     with Board(port) as board:

@@ -117,6 +117,16 @@ def starts(folder):
     return 1000 * (np.array(first) - first[0]), {camera.times.clock for camera in cameras}
 
 
+@pytest.mark.parametrize("board", ["none", "auto"])
+def test_options_for_a_board_are_refused_without_one(tmp_path, board, capsys):
+    videos = [film(tmp_path, k, t) for k, t in enumerate([1.0, 1.2])]
+    sync = ["capture", "sync", *map(str, videos), "--out", str(tmp_path / "s"), "--board", board]
+    for given in (["--row-time", "9.5"], ["--readout", "down"], ["--tick-us", "410"], ["--no-estimate"]):
+        assert cli.main([*sync, *given]) == 1
+        assert f"{given[0]}: for the light of a board's lamps, and" in capsys.readouterr().err
+    assert not (tmp_path / "s").exists()
+
+
 @NEEDS_FFMPEG
 def test_three_phones_without_a_board_are_synchronised_by_sound(tmp_path, capsys):
     begins = [1.0, 1.2137, 0.9511]

@@ -11,13 +11,16 @@ from gof.commands.cli import main as gof
 from gof.commands.ingest import IngestConfig, fire_left_in_words, ingest
 from gof.core.errors import DataFormatError, GofError
 from gof.dataset import Dataset
-from gof.dataset.poses import Poses
+from gof.dataset.poses import PointCheck, Poses
 from gof.footage.lens import Lens, prepare
 from gof.footage.videos import stated_info
 from gof.ingest import plates
+from gof.ingest.axes import metric_scale
 from gof.ingest.fire_free import around, read_plates
 from gof.ingest.footage import Footage, PreparedClip
+from gof.ingest.marked_points import MarkedPoint
 from gof.ingest.over_time import LUMA, darkest, largest_change, median
+from gof.ingest.pose_clues import PoseOptions
 from gof.ingest.sfm import PoseError
 from tests.ingest.scene import FOCAL, HEIGHT, WIDTH, cameras, draw, pose_errors
 from tests.videos import tag_rotation, write_video
@@ -134,6 +137,8 @@ def test_what_is_found_frame_by_frame_is_what_numpy_finds_in_the_whole_clip():
         np.testing.assert_array_equal(largest_change(clip), np.ptp(clip, 0).max(-1))
     extreme = np.array([0, 255, 255], np.uint8)[:, None, None, None] * np.ones((1, 2, 2, 3), np.uint8)
     assert (median(extreme) == 255).all() and (median(extreme[:2]) == 0).all()
+    hours = np.repeat(np.array([10, 200], np.uint8), [66_000, 4000])[:, None, None, None]  # more than 16 bits of frames
+    assert median(hours).item() == 10
 
 
 @pytest.mark.parametrize("turn", ["none", "clockwise", "counterclockwise", "half"])
@@ -364,10 +369,59 @@ def test_known_poses_leave_no_choice_of_scale_and_are_those_of_the_other_clips(t
     path.write_text(json.dumps({"cameras": list(map(by_hand, rig))}))
     known = {"cameras": path, "times": ("50",), "board": "none"}
     videos = footage(tmp_path / "a", rig, frames=3)
-    with pytest.raises(GofError, match=r"--baseline-m 1.2: poses are taken over, those of --cameras.*leave out --base"):
-        ingest(IngestConfig(videos, tmp_path / "set", baseline_m=1.2, **known))
+    made = ingest(IngestConfig(videos, tmp_path / "rig", **known)).folder
+    for option, given in {
+        "--baseline-m": {"baseline_m": 1.2},
+        "--poses": {"poses": "points"},
+        "--up": {"up": "edges"},
+        "--rig": {"rig": made},
+    }.items():
+        with pytest.raises(GofError, match=f"{option}: poses are taken over, those of --cameras.*leave out {option}"):
+            ingest(IngestConfig(videos, tmp_path / "set", **given, **known))
+    with pytest.raises(GofError, match=r"--baseline-m, --poses: poses are taken over, those of --rig"):
+        lens = {"fov": float(np.degrees(2 * np.arctan(WIDTH / 2 / FOCAL))), "times": ("50",), "board": "none"}
+        ingest(IngestConfig(videos, tmp_path / "set", rig=made, poses="features", baseline_m=1.2, **lens))
     turned = rig[0].world_to_camera.copy()
     turned[:3] = cv2.Rodrigues(np.array([0, 0.05, 0]))[0] @ turned[:3]
     other = footage(tmp_path / "b", [replace(rig[0], world_to_camera=turned), *rig[1:]], frames=3)
     with pytest.raises(PoseError, match="cam_0"):
         ingest(IngestConfig(videos, tmp_path / "set", with_clip=[other[0].parent], **known))
+
+
+def test_known_poses_and_points_of_known_size_have_one_scale(tmp_path):
+    """Points 30 % further apart than the poses' metres say, and poses for two of three cameras."""
+    rig = cameras()
+    places = np.array([[0.1, 0, 0.2], [-0.2, 0.1, 0], [0, 0.2, -0.1], [0.2, -0.1, 0.1]])
+    pixels = {camera.name: camera.project(places)[0] for camera in rig}
+    videos, path, marked = footage(tmp_path, rig, frames=3), tmp_path / "cameras.json", tmp_path / "points.json"
+    path.write_text(json.dumps({"cameras": list(map(by_hand, rig))}))
+    config = IngestConfig(videos, tmp_path / "a", cameras=path, times=("50",), board="none", points=marked)
+    for stretch in (1.0, 1.3):
+        points = [
+            {"pixels": {n: at[k].tolist() for n, at in pixels.items()}, "xyz": (stretch * place).tolist()}
+            for k, place in enumerate(places)
+        ]
+        marked.write_text(json.dumps({"points": points}))
+        if stretch == 1:
+            assert Poses.read(ingest(config).folder).report.check.metres_per_unit == pytest.approx(1, abs=1e-3)
+    with pytest.raises(PoseError, match=r"poses of --cameras contradict.*1\.3 times as large"):
+        ingest(replace(config, out=tmp_path / "b"))
+    some = [by_hand(camera) for camera in rig]
+    del some[1]["world_to_camera"]
+    path.write_text(json.dumps({"cameras": some}))
+    with pytest.raises(DataFormatError, match="2 poses .* for 3 cameras; give each its own, or none"):
+        ingest(replace(config, out=tmp_path / "c", points=None))
+
+
+@pytest.mark.parametrize("baseline_m", [1.0, 0.8])
+def test_two_lengths_of_one_world_agree(baseline_m):
+    """Two cameras 0.5 units apart, points that say 2 m a unit, and a tape measure."""
+    poses = np.stack([np.eye(4), np.eye(4)])
+    poses[1, 0, 3] = -0.5
+    marked = (MarkedPoint({}, np.zeros(3)), MarkedPoint({}, np.ones(3)))
+    check, options = PointCheck(0.1, 2.0, 0.01), PoseOptions(by_hand=marked, baseline_m=baseline_m)
+    if baseline_m == 1:
+        assert metric_scale(poses, check, options)[0] == 2
+        return
+    with pytest.raises(PoseError, match=r"--baseline-m contradict each other.*1\.25 times as large"):
+        metric_scale(poses, check, options)

@@ -1,22 +1,26 @@
 """`gof depth`: maps of single frames against the exact depth of drawn planes, and the score that they make possible."""
 
 import json
+import shutil
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from gof.commands.cli import main
+from gof.core.datum import Datum
 from gof.core.errors import GofError
 from gof.core.gaussians import TransientGaussians
 from gof.dataset import Dataset
 from gof.dataset.leaks import MadeFrom
+from gof.dataset.poses import PoseReport, Poses
 from gof.evaluate import Extras, evaluate
 from gof.evaluate.depth import read_depth
 from gof.ingest import depth as d
 from gof.ingest.depth import write_frame_depths
 from tests.conftest import write_dataset
 from tests.ingest import scene
+from tests.moved_dataset import moved_copy
 
 pytestmark = pytest.mark.long
 
@@ -73,6 +77,22 @@ def test_every_map_says_its_frame_and_what_is_there_is_kept(filmed, maps):
     kept.unlink()
     assert 0.3 < write_frame_depths(Dataset.open(folder), [HELD_OUT], maps) <= 1
     assert kept.exists()
+
+
+def test_maps_of_a_far_world_are_the_same(filmed, maps, tmp_path):
+    """Its sparse points, which say how far depth may reach, lie at UTM coordinates as its cameras do."""
+    folder, far, shift = tmp_path / "near", tmp_path / "far", (498_000.0, 5_213_000.0, 431.0)
+    shutil.copytree(filmed[0], folder)
+    seen = np.random.default_rng(0).uniform([-0.6, -0.4, 0], [0.6, 0.4, 1], (50, 3))
+    Poses.of(PoseReport("features", "m"), seen).write(folder)
+    moved_copy(folder, far, Datum(shift))
+    Poses.of(PoseReport("features", "m"), seen + shift).write(far)
+    dataset = Dataset.open(far)
+    np.testing.assert_allclose(dataset.sparse_points() + dataset.datum.position, seen + shift, atol=1e-4)
+    for each in (folder, far):
+        write_frame_depths(Dataset.open(each), [HELD_OUT], tmp_path / f"maps_{each.name}")
+    near_map, far_map = (read_depth(tmp_path / f"maps_{name}/depth", "cam_0", HELD_OUT) for name in ("near", "far"))
+    assert (np.abs(far_map - near_map) < 0.01 * near_map).mean() > 0.99
 
 
 def test_maps_of_another_dataset_are_not_taken_for_these(filmed, maps, tiny_dataset):

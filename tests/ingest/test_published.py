@@ -134,6 +134,9 @@ def test_what_is_missing_or_wrong_is_named(scene, tmp_path):
         ingest(IngestConfig([folder], tmp_path / "a", fov=40.0))
     with pytest.raises(GofError, match="brings its frame times"):
         ingest(IngestConfig([folder], tmp_path / "b", times=("400",)))
+    for option, given in {"--marker-mm": {"marker_mm": 60.0}, "--poses": {"poses": "features"}}.items():
+        with pytest.raises(GofError, match=f"{option}: poses are taken over, those that the scene brings"):
+            ingest(IngestConfig([folder], tmp_path / "b", **given))
     (folder / "001.mask.png").unlink()
     with pytest.raises(DataFormatError, match=r"001\.mask\.png: must be a picture of 240x320"):
         ingest(IngestConfig([folder], tmp_path / "c", frames=3))

@@ -14,11 +14,23 @@ from PIL import Image
 
 from gof.commands import cli
 from gof.core.errors import DataFormatError
-from gof.footage.containers import codes_fields, video_tracks
+from gof.footage.codecs import CodedStream
+from gof.footage.colour import UNKNOWN, Colour
+from gof.footage.containers import video_tracks
 from gof.footage.defects import find_combs
 from gof.footage.videos import read_info, stored_frames
 from gof.ingest.footage import Footage
-from tests.videos import join_tracks, number_of, numbered, set_date, tag_fields, tag_pixels, tag_rotation, write_video
+from tests.videos import (
+    join_tracks,
+    number_of,
+    numbered,
+    set_date,
+    tag_edits,
+    tag_fields,
+    tag_pixels,
+    tag_rotation,
+    write_video,
+)
 
 
 def ask(capsys, *videos, more=("--fov", "60")):
@@ -176,7 +188,22 @@ def test_a_file_that_says_fields_is_believed_unless_its_pictures_are_whole(tmp_p
     ],
 )
 def test_codecs_say_whether_they_code_fields(codec, description, fields):
-    assert codes_fields(codec, bytes.fromhex(description)) is fields
+    assert CodedStream.of(codec, bytes.fromhex(description)).two_fields is fields
+
+
+@pytest.mark.parametrize(
+    ("codec", "description", "colour"),
+    [  # as x264 and FFmpeg's MPEG-2 encoder wrote them, told Rec. 709, or nothing
+        (b"h264", "0164000cffe1001c6764000cacd943056c05a808080a000003000200000300781e28532c01", Colour(1, 1, 1)),
+        (b"h264", "0000016764000cacd943056c05a808080a000003000200000300781e28532c", Colour(1, 1, 1)),
+        (b"h264", "00000167640015acd9430ad80b50101014000003000400000300f07c50a658", Colour(1, 1, 1)),  # two fields
+        (b"h264", "0000016764000cacd943056c0440000003004000000f03c50a658", UNKNOWN),
+        (b"mpg2", "000001b30c00a015ffffe018000001b5148a00010000000001b52b02020103020500", Colour(2, 2, 1)),
+        (b"h264", "000001676400", UNKNOWN),
+    ],
+)
+def test_streams_say_their_colours(codec, description, colour):
+    assert CodedStream.of(codec, bytes.fromhex(description + "0" * (len(description) % 2))).colour == colour
 
 
 # ---- orientation -----------------------------------------------------------------------------------------------------
@@ -271,6 +298,24 @@ def test_files_of_different_days_are_said(tmp_path):
         set_date(path, round((datetime(2026, 5, day, tzinfo=timezone.utc) - zero).total_seconds()))
     assert read_info(one).made_s == round(datetime(2026, 5, 1, tzinfo=timezone.utc).timestamp())
     assert any("made 172800 s apart" in note for note in Footage.open([one, two], "auto", None, 60.0).notes)
+
+
+@pytest.mark.parametrize(
+    ("edits", "first", "frames", "begins_s"),
+    [
+        ([(20 / 30, 5.25 / 30)], 6, 20, 0.75 / 30),
+        ([(0.11, None), (0.4, 14 / 30)], 14, 12, 0.11),
+        ([(0.011, None), (1.0, 0.0)], 0, 30, 0.011),
+    ],
+    ids=["between two frames", "empty first", "late"],
+)
+def test_a_film_that_was_trimmed_without_coding_is_whole(tmp_path, edits, first, frames, begins_s):
+    """Its file holds frames that no player shows, and its first one may come a part of a frame after the sound's."""
+    path = tag_edits(write_video(tmp_path / "a.mp4", numbered(30)), edits)
+    info = read_info(path)
+    assert info.frames == info.stated_frames == frames and not info.breaks_off
+    assert number_of(next(stored_frames(path))) == first
+    assert info.start_s == pytest.approx(begins_s, abs=1e-3)
 
 
 @pytest.mark.skipif(shutil.which("ffmpeg") is None, reason="ffmpeg is not installed")
