@@ -105,8 +105,10 @@ def _colour_of_h264(bits: _Bits, two_fields: bool) -> Colour:
         bits.read(1)
     if not bits.read(1):
         return UNKNOWN
-    bits.read(4)
-    return Colour(bits.read(8), bits.read(8), bits.read(8)) if bits.read(1) else UNKNOWN
+    bits.read(3)
+    full_range = bits.read(1) == 1
+    points = [bits.read(8) for _ in range(3)] if bits.read(1) else []
+    return Colour(*points, full_range=full_range)
 
 
 class _Bits:

@@ -27,11 +27,13 @@ TO_709 = np.array([[1.6605, -0.5876, -0.0728], [-0.1246, 1.1329, -0.0083], [-0.0
 
 @dataclass(frozen=True)
 class Colour:
-    """The code points of H.273 that a film's file states; 2 where it says nothing."""
+    """The code points of H.273 that a film's file states; 2 where it says nothing. full_range: whether black is 0 and
+    white all ones; else there is room below and above."""
 
     primaries: int = UNSAID
     transfer: int = UNSAID
     matrix: int = UNSAID
+    full_range: bool = False
 
     @property
     def name(self) -> str:

@@ -160,7 +160,7 @@ def colour_of(path: Path) -> Colour:
     stream."""
     if not path.is_file():
         return UNKNOWN
-    stated = [track.colour for track in video_tracks(path)[:1] if track.colour != UNKNOWN]
+    stated = [track.colour for track in video_tracks(path)[:1] if replace(track.colour, full_range=False) != UNKNOWN]
     return stated[0] if stated else _coded_stream(path).colour
 
 
@@ -265,6 +265,9 @@ def stated_info(path: Path) -> VideoInfo:
         raise DataFormatError(f"{path}: its matrix says mirrored; save the film as it should be seen, without the tag")
     with opened(path) as video:
         stated = video.stated
+        bits, colour = _bits(stated("CODEC_PIXEL_FORMAT")), colour_of(path)
+        if (bits or 8) > 8 and colour.full_range:
+            raise _of_full_range(path, bits)
         return VideoInfo(
             path,
             width,
@@ -272,15 +275,25 @@ def stated_info(path: Path) -> VideoInfo:
             stated("FPS"),
             video.stated_frames,
             round((stated("ORIENTATION_META") or 0) / 90) * 90 % 360,
-            _bits(stated("CODEC_PIXEL_FORMAT")),
+            bits,
             fingerprint=fingerprint(path),
             pixel_aspect=(stated("SAR_NUM") or 1.0) / (stated("SAR_DEN") or 1.0),
             made_s=made_at(path),
             focal_35mm=focal_35mm(path),
             chapters=tuple(file.name for file in video.files if len(video.files) > 1),
-            colour=colour_of(path).name,
+            colour=colour.name,
             two_fields=any(track.interlaced for track in video_tracks(path)[:1]) or _coded_stream(path).two_fields,
         )
+
+
+def _of_full_range(path: Path, bits: int | None) -> DataFormatError:
+    """Return the error for a film that OpenCV would stretch: it knows full range with 8 bits only."""
+    copy = shlex.quote(str(path.with_name(f"{path.stem}_tv.mp4")))
+    return DataFormatError(
+        f"{path}: has {bits} bits a channel in full range, of which OpenCV cuts off what is dark and what is bright; "
+        f"code it anew: ffmpeg -noautorotate -i {shlex.quote(str(path))} -fps_mode passthrough -vf scale=out_range=tv "
+        f"-c:v libx264 -crf 12 {copy}"
+    )
 
 
 def _rotation(files: list[Path]) -> int:

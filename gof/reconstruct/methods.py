@@ -155,7 +155,7 @@ OURS = Method(
         plate=0.0025,
         beta_1=0.6,
         beta_2=0.99,
-        held=0.5,
+        held=0.7,
     ),
 )
 

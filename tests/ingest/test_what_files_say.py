@@ -1,10 +1,12 @@
 """What a file says of itself and players obey: tracks, the shape of pixels, fields, orientation, parts, clocks."""
 
+import base64
 import itertools
 import json
 import math
 import shutil
 import subprocess
+import zlib
 from datetime import datetime, timezone
 
 import cv2
@@ -18,7 +20,7 @@ from gof.footage.codecs import CodedStream
 from gof.footage.colour import UNKNOWN, Colour
 from gof.footage.containers import video_tracks
 from gof.footage.defects import find_combs
-from gof.footage.videos import read_info, stored_frames
+from gof.footage.videos import colour_of, read_info, stated_info, stored_frames
 from gof.ingest.footage import Footage
 from tests.videos import (
     join_tracks,
@@ -204,6 +206,27 @@ def test_codecs_say_whether_they_code_fields(codec, description, fields):
 )
 def test_streams_say_their_colours(codec, description, colour):
     assert CodedStream.of(codec, bytes.fromhex(description + "0" * (len(description) % 2))).colour == colour
+
+
+# x264's film of one picture, 32x32, 10 bits in full range: packed by zlib and base64.
+FULL_RANGE = (
+    b"eNqNUr1PwkAUfweJIQaiAzHGMBSCI0EI6oIJ0YXBVSeXwl2loUeb9mjUCRMHXf0j3J1MnDTixF+gG3ExcWQxJFrfFUgLfsSXvvu9u/d7d++j"
+    b"AKBo4tjSHZMDREAialF16wVulQoAENNsxhAVTlWBmGTnZwnvsx99Tz69nD4OyvnnRB5jB9w0XfQb3G1QmJLoKy4ZICC/QMg0a3ZfgT8lgt+2"
+    b"sNUm2gei6b8Z/eG2zLfI/7yrjBUgy6hwEFPMcEQoIhPEkltOdXXUo9nay36qe11/k2tQw554XJ2yMHMf92ZVbVGDSQ5hXG9psuEu9y8Np5ml"
+    b"I1+K2kwLJRVv24YyssmqI2oG2veOcGiIcy2H+0srZNEKVBGrE0Z8F/mKodeOihulnwax7Hm4biJrh7Rg3uvDyiHiVS+d69wQQipyLrgsRLsX"
+    b"lwTmGm8Pvczdx3Aogxct1bHGiUhN1oQ97vJSZ/KAI/wJQMCLSDuFhdWnz4N70HcyiQ/O6maIv4a61aZCTm6dMx+lpMNTwsnaqmUZ4YpjOv4K"
+    b"X34Jcho="
+)
+
+
+def test_films_of_ten_bits_in_full_range_are_refused(tmp_path):
+    """OpenCV would show its 246 as 255, and 10 as 0; of eight bits it knows the range."""
+    path = tmp_path / "a.mp4"
+    path.write_bytes(zlib.decompress(base64.b64decode(FULL_RANGE)))
+    assert cv2.VideoCapture(str(path)).read()[1].min() == 255
+    assert colour_of(path) == Colour(1, 1, 1, full_range=True)
+    with pytest.raises(DataFormatError, match="10 bits a channel in full range.*scale=out_range=tv"):
+        stated_info(path)
 
 
 # ---- orientation -----------------------------------------------------------------------------------------------------
