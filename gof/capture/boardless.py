@@ -138,7 +138,8 @@ def _own_times(info: VideoInfo, rate: float | None) -> np.ndarray:
 
 
 def _begin_sigma_s(info: VideoInfo) -> float:
-    """Return how well it is known when a film's first frame comes on the clock of its sound: else to a whole frame."""
+    """Return how far off a film's first frame may be on the clock of its sound, s: 0 where the file states it exactly;
+    others state it in whole frames."""
     if begins_s(chapters_from(info.path)[0]) is not None or not info.stated_fps:
         return 0.0
     return 1 / info.stated_fps / np.sqrt(12)
@@ -150,7 +151,7 @@ def by_sound(
     """Return each film's clock on the first one's; all pairs are compared, and must close.
 
     Args:
-        begin_sigma_s: how well each film's first frame is known on its sound's clock; None: exactly.
+        begin_sigma_s: how far off each film's first frame may be on its sound's clock; None: not at all.
     Raises:
         NoSoundClock: two tracks do not agree, or the pairs contradict each other.
     """

@@ -68,7 +68,7 @@ def place_cameras(
         moved[other.name] = require_still(names, clips[0], other.name, other.plates, other.masks)
     if given is not None:
         check = adjust.check_points(points, lenses, given)
-        require_one_scale(check, 1.0, options, "the poses of --cameras")
+        require_one_scale(check, 1.0, options, f"the poses of --cameras ({METRES})")
         near = tuple(f"{pair} stand in one place: they tell no depth" for pair in _together(given, names))
         scale = f"{METRES}, from --cameras"
         report = PoseReport("--cameras", scale, notes + near, check=check, moved=moved or None)
@@ -89,7 +89,7 @@ def place_cameras(
         )
         if chosen.refused:
             raise sfm.PoseError(_advice([chosen], solved.figures, clips[0].notes))
-        require_one_scale(chosen.check, 1.0, options, f"the rig of {rig.folder.name}")
+        require_one_scale(chosen.check, 1.0, options, f"the rig of {rig.folder.name} ({rig.scale})")
         chains = adjust.tracks(solved.features, lenses, rig.world_to_camera, sfm.GATE_PX)
         cloud = adjust.triangulated(rig.world_to_camera, lenses, chains)
         scale = f"{rig.scale}, by the rig of {rig.folder.name}"

@@ -404,7 +404,7 @@ def test_known_poses_and_points_of_known_size_have_one_scale(tmp_path):
         marked.write_text(json.dumps({"points": points}))
         if stretch == 1:
             assert Poses.read(ingest(config).folder).report.check.metres_per_unit == pytest.approx(1, abs=1e-3)
-    with pytest.raises(PoseError, match=r"poses of --cameras contradict.*1\.3 times as large"):
+    with pytest.raises(PoseError, match=r"poses of --cameras .metres. contradict.*1\.3 times as large"):
         ingest(replace(config, out=tmp_path / "b"))
     some = [by_hand(camera) for camera in rig]
     del some[1]["world_to_camera"]
