@@ -195,13 +195,32 @@ def test_codecs_say_whether_they_code_fields(codec, description, fields):
 
 @pytest.mark.parametrize(
     ("codec", "description", "colour"),
-    [  # as x264 and FFmpeg's MPEG-2 encoder wrote them, told Rec. 709, or nothing
+    [  # as x264, x265 and FFmpeg's MPEG-2 encoder wrote them, told Rec. 709, or nothing
         (b"h264", "0164000cffe1001c6764000cacd943056c05a808080a000003000200000300781e28532c01", Colour(1, 1, 1)),
         (b"h264", "0000016764000cacd943056c05a808080a000003000200000300781e28532c", Colour(1, 1, 1)),
         (b"h264", "00000167640015acd9430ad80b50101014000003000400000300f07c50a658", Colour(1, 1, 1)),  # two fields
         (b"h264", "0000016764000cacd943056c0440000003004000000f03c50a658", UNKNOWN),
         (b"mpg2", "000001b30c00a015ffffe018000001b5148a00010000000001b52b02020103020500", Colour(2, 2, 1)),
         (b"h264", "000001676400", UNKNOWN),
+        # x265: as MP4 keeps it, in full range, with temporal layers; cut off
+        (
+            b"hevc",
+            "0101600000009000000000003cf000fcfdf8f800000f04a00001001840010c01ffff01600000030090000003000003003c959809a1000100"
+            "2d42010101600000030090000003000003003ca0182028596566924caf016a02020208000003000800000300f040a2000100074401c172b4"
+            "6240",
+            Colour(1, 1, 1),
+        ),
+        (
+            b"hevc",
+            "0000000142010102200000030090000003000003003ca01820284d96566924caf016e020202080000003008000000f040",
+            Colour(1, 1, 1, full_range=True),
+        ),
+        (
+            b"hevc",
+            "0000000142010201600000030090000003000003003c0000a01820285965662b349265780b501010104000000300400000078200",
+            Colour(1, 1, 1),
+        ),
+        (b"hevc", "0000000142010201600000030090000003000003003c0000a01820", UNKNOWN),
     ],
 )
 def test_streams_say_their_colours(codec, description, colour):
