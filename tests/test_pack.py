@@ -8,6 +8,7 @@ import shutil
 import subprocess
 import tarfile
 import time
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -18,7 +19,7 @@ from gof.commands.cli import main
 from gof.core.errors import DataFormatError, GofError
 from gof.core.grid_writer import GridWriter, scalar
 from gof.dataset import Dataset
-from gof.dataset.pack import VelocityFingerprint, files_of, pack, read_credit, unpack, verify
+from gof.dataset.pack import VelocityFingerprint, description_lines, files_of, pack, read_credit, unpack, verify
 from gof.reconstruct import pipeline
 from gof.reconstruct.settings import ReconstructionSettings
 from tests.evaluate.synthetic_flame import flame_dataset
@@ -275,3 +276,9 @@ def test_words_of_the_authors_stand_below_the_card_however_often_it_is_packed(da
     (folder / "README.md").write_bytes(b"\xff\xfe")
     with pytest.raises(DataFormatError, match=r"README\.md: no text in UTF-8"):
         pack(Dataset.open(folder), tmp_path / "d", "CC0-1.0", ("A",))
+
+
+def test_a_clips_length_does_not_depend_on_when_it_begins(dataset):
+    about = dataset.description
+    later = replace(dataset, description=replace(about, time_s=tuple(t + 13 for t in about.time_s)))
+    assert description_lines(later, 1000) == description_lines(dataset, 1000)

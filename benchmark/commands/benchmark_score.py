@@ -21,8 +21,8 @@ from gof.dataset import Dataset
 from gof.evaluate.eddy_time import eddy_time
 from gof.evaluate.leaderboard import EvaluatedResult
 from gof.evaluate.method import AboutMethod
-from gof.evaluate.scores import Scores
-from gof.evaluate.submission import OPACITY, ORDER, PICTURES, SCORES, Run, Submission, check, score_again
+from gof.evaluate.scores import OPACITY, ORDER, Scores
+from gof.evaluate.submission import PICTURES, SCORES, Run, Submission, check, score_again
 from gof.evaluate.suite_board import RANKED, ScoredScene, SuiteBoard, board
 from gof.evaluate.training_curve import FILE as CURVE
 from gof.evaluate.training_curve import TrainingCurve

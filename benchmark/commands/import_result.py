@@ -10,13 +10,13 @@ import tyro
 
 from gof.commands.everywhere import beside, require_free, write_figures
 from gof.commands.read import read_options
-from gof.core.files import require_replaceable
+from gof.core.files import digest, require_replaceable
 from gof.core.gaussians import TransientGaussians
 from gof.dataset import Dataset
 from gof.host import extras
 from gof.host.processes import python_command
 from gof.host.worker import run_worker
-from gof.look.report import Preview
+from gof.look.report import PREVIEW, Preview
 
 SAMPLES = 16  # per pixel of the preview at most; a dataset's own pictures may have fewer
 
@@ -52,12 +52,17 @@ def main(argv: list[str]) -> int:
     dataset = Dataset.open(config.dataset)
     result = config.result / "result.npz" if config.result.is_dir() else config.result
     TransientGaussians.load(result)  # a bad file is named here, before Blender starts
-    if config.out is not None:
-        require_free(config.out)
     blend = config.out or beside(result.absolute(), "result.blend")
     preview = config.preview or blend.with_suffix(".png")
+    if config.out is not None:
+        require_free(blend, preview)
+    elif config.preview is not None:
+        require_free(preview)
     for path in (blend, preview):
         require_replaceable(path)
+    record = preview.parent / PREVIEW
+    if record.exists():
+        Preview.read(record)  # what is none is not replaced
     frame = len(dataset.times_s) // 2 if config.frame is None else config.frame
     camera = config.camera or dataset.cameras[len(dataset.cameras) // 2].name
     blend.parent.mkdir(parents=True, exist_ok=True)
@@ -77,8 +82,8 @@ def main(argv: list[str]) -> int:
     extras.require("bpy", "blender", "gof import")
     cost = run_worker(worker, "import into Blender")
     names = [c.name for c in dataset.cameras]
-    # Which truth the preview belongs to, for `gof report`.
-    Preview(preview.name, names.index(camera), frame).write(preview.with_suffix(".json"))
+    # Which truth and which result the preview belongs to, for `gof report`.
+    Preview(preview.name, names.index(camera), frame, digest(result)).write(record)
     files = {"blend": str(blend), "preview": str(preview)}
     write_figures(files | {"seconds": cost.seconds, "peak_mb": cost.peak_mb})
     print(f"{blend} and {preview} ({cost.seconds:.1f} s): open the .blend and press play")

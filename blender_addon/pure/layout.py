@@ -210,6 +210,8 @@ class Layout:
         needed, kept = spec.timeline.steps_needed, theirs.timeline.steps_needed  # cameras' clocks may want more steps
         if differs or needed.start < kept.start or needed.stop > kept.stop:
             raise SpecError(f"{other.root}: another fire burns there ({', '.join(differs) or 'fewer steps'} differ)")
+        if moved := other._changed_inputs(spec):
+            raise SpecError(f"{other.root} was made from {', '.join(moved)}, which has changed since; bake it again")
         shutil.rmtree(self.bake, ignore_errors=True)
         shutil.copytree(other.bake, self.bake, copy_function=_link_or_copy)
         shutil.copyfile(other.blend, self.blend)
@@ -241,11 +243,15 @@ class Layout:
         changed = sorted(name for name in published if before[name] != published[name])
         if changed:
             raise SpecError(f"{self.root} was made from another spec ({', '.join(changed)} differ); {way_out}")
-        if self.inputs.is_file():
-            stamps, now = read_json(self.inputs), self._stamps(spec)
-            moved = sorted(name for name in now if stamps.get(name) != now[name])
-            if moved:
-                raise SpecError(f"{self.root} was made from {', '.join(moved)}, which has changed since; {way_out}")
+        if moved := self._changed_inputs(spec):
+            raise SpecError(f"{self.root} was made from {', '.join(moved)}, which has changed since; {way_out}")
+
+    def _changed_inputs(self, spec: SceneSpec) -> list[str]:
+        """Return the names of the spec's files that have changed since this dataset was begun."""
+        if not self.inputs.is_file():
+            return []
+        stamps, now = read_json(self.inputs), self._stamps(spec)
+        return sorted(name for name in now if stamps.get(name) != now[name])
 
     def _stamps(self, spec: SceneSpec) -> dict[str, list[int] | None]:
         """Return size and time of change of the spec's files by name; those in this folder are its own."""

@@ -70,6 +70,10 @@ class Recording:
         """(F,)"""
         return self.time_s(self.frames)
 
+    def drawn(self, world: np.ndarray) -> GaussianCloud:
+        """Return the Gaussians that are drawn, in another world. Args and errors as `moved_to`, but for still ones."""
+        return self.cloud[self.cloud.opacity >= self.least].transformed(world)
+
     def moved_to(self, world: np.ndarray) -> GaussianCloud:
         """Return the Gaussians that are drawn, in another world, on the scene's clock: 0 s is its first frame.
 
@@ -83,7 +87,7 @@ class Recording:
             raise DataFormatError("these are stills, one after another, and nothing in them moves: write .usdc or .abc")
         if not pace:
             raise DataFormatError("Time Scale is 0, so nothing moves: set it, or write .usdc or .abc")
-        cloud = self.cloud[self.cloud.opacity >= self.least].transformed(world)
+        cloud = self.drawn(world)
         light = np.where(cloud.dynamic[:, None], cloud.velocity, 0)
         known = not np.array_equal(cloud.moving_gas, light)  # the .blend has the light's where a result has no gas'
         return replace(
@@ -94,6 +98,11 @@ class Recording:
             gas_velocity=cloud.moving_gas * pace if known else None,
             velocity_sd=cloud.velocity_sd * abs(pace),
         )
+
+
+def _world_m(scene: bpy.types.Scene, object_: bpy.types.Object) -> np.ndarray:
+    """Return the similarity (4, 4) from a cloud's own metres to those of the scene."""
+    return np.diag([scene.unit_settings.scale_length] * 3 + [1.0]) @ np.array(object_.matrix_world)
 
 
 def _keyed(object_: bpy.types.Object, paths: dict[str, str]) -> list[str]:
@@ -180,7 +189,7 @@ class GOF_OT_export_vdb(_CloudExport, bpy.types.Operator):
         if problem := self.why_not():
             raise DataFormatError(problem)
         recording = Recording.of(context.scene, object_)
-        cloud, voxel_m = recording.cloud, self.voxel_m
+        cloud, voxel_m = recording.drawn(_world_m(context.scene, object_)), self.voxel_m
         if not voxel_m:
             low, high = np.percentile(cloud.position, [1, 99], axis=0)
             voxel_m = float((high - low).max()) / FINENESS or 0.01
@@ -208,8 +217,7 @@ class GOF_OT_export_points(_CloudExport, bpy.types.Operator):
         scene = context.scene
         suffix = path.suffix.lower()
         if suffix in RESULTS:
-            metres = np.diag([scene.unit_settings.scale_length] * 3 + [1.0])
-            moving = Recording.of(scene, object_).moved_to(metres @ np.array(object_.matrix_world))
+            moving = Recording.of(scene, object_).moved_to(_world_m(scene, object_))
             moving.save(path, source=object_.name)
             return f"{len(moving)} Gaussians: {path}"
         if suffix == ".abc":

@@ -17,7 +17,7 @@ from gof.host.terminal import console
 from gof.io.convert import convert
 from gof.io.importers import Imported, ImportOptions, read_result
 from gof.io.importers.alignment import align_cameras, align_result, read_cameras
-from gof.io.importers.sidecar import FIELDS, with_sidecar, write_sidecar
+from gof.io.importers.sidecar import FIELDS, in_words, with_sidecar, write_sidecar
 from gof.io.importers.source import WorldBy
 
 
@@ -61,8 +61,8 @@ class ConvertConfig:
     at, scale, turn_deg, up, start_s, light)."""
     time_unit: Seconds | None = None
     """One unit of the method's time (FreeTimeGS: the whole clip; PLY sequence: from one number to the next)."""
-    time_zero: Seconds = 0.0
-    """Dataset time at the method's time 0."""
+    time_zero: Seconds | None = None
+    """Dataset time at the method's time 0. Default: 0."""
     world: Path | None = None
     """COLMAP model (folder), or JSON with "training_to_world": the method's normalisation of that world is undone."""
     world_by: WorldBy | None = None
@@ -77,8 +77,12 @@ class ConvertConfig:
 
     def foreign(self) -> ImportOptions:
         """Return the options' statements on the result. Raises GofError: see `ImportOptions`."""
-        times = self.time_unit, self.time_zero, self.frame_time
+        times = self.time_unit, self.time_zero or 0.0, self.frame_time
         return ImportOptions(*times, self.world, self.world_by, flame_only=self.flame_only)
+
+    def merged(self) -> tuple[ImportOptions, Path | None]:
+        """Return the same with what the file beside the result says of the rest, as `with_sidecar`."""
+        return with_sidecar(self.result, self.foreign(), () if self.time_zero is None else ("time_zero_s",))
 
 
 def main(argv: list[str]) -> int:
@@ -89,7 +93,7 @@ def main(argv: list[str]) -> int:
         raise GofError("--align and --dataset go together: cameras of the method's world, and those to map them onto")
     if config.out is None:
         return _write_down(config)
-    options, _ = with_sidecar(config.result, config.foreign())
+    options, sidecar = config.merged()
     imported = read_result(config.result, options)
     if config.align is not None and config.dataset is not None:
         imported = _moved(imported, config.align, Dataset.open(config.dataset))
@@ -99,7 +103,7 @@ def main(argv: list[str]) -> int:
     count = len(imported.gaussians)
     out = console()
     out.print(f"{imported.method}: {count} Gaussians from {imported.path} written to {config.out} in {seconds:.1f} s")
-    notes = [*imported.notes, *made]
+    notes = [*([in_words(sidecar, options)] if sidecar else []), *imported.notes, *made]
     for note in notes:
         out.print("note:", note, style="yellow")
     done = {"method": imported.method, "gaussians": count, "notes": notes, "out": str(config.out)}
@@ -110,15 +114,14 @@ def main(argv: list[str]) -> int:
 def _write_down(config: ConvertConfig) -> int:
     """RESULT.gof.json. Raises GofError: it holds nothing, or nothing about how the result is to be read."""
     options = config.foreign()
-    if not any(getattr(options, name) for name in FIELDS):
+    if config.time_zero is None and not any(getattr(options, name) for name in FIELDS):
         raise GofError(
             "name a file to write (OUT), or say something of RESULT that its files do not: --time-unit, --time-zero, "
             "--frame-time, --world, --world-by, --flame-only"
         )
     if (config.time, config.clip, config.align, config.into) != (None,) * 4:
         raise GofError("--time, --clip, --align and --into are for a file that is written; name it (OUT)")
-    known, _ = with_sidecar(config.result, options)
-    options = replace(options, code_date=known.code_date, emissive=known.emissive)  # no option says these
+    options, _ = config.merged()
     imported = read_result(config.result, options)
     path = write_sidecar(config.result, options)
     out = console()

@@ -15,6 +15,7 @@ from gof.commands.read import read_options
 from gof.commands.video import camera_number
 from gof.core.costs import StageCost, StageLog
 from gof.core.errors import GofError
+from gof.core.files import digest
 from gof.dataset import Dataset
 from gof.evaluate.leaderboard import EvaluatedResult, about
 from gof.evaluate.scores import Scores
@@ -25,7 +26,7 @@ from gof.look.comparison import fire_removal
 from gof.look.drawing import Kind, require_figure
 from gof.look.pages import page_pictures
 from gof.look.player.opened import newest
-from gof.look.report import Preview, build_report
+from gof.look.report import PREVIEW, Preview, build_report
 
 
 @dataclass
@@ -61,7 +62,10 @@ def main(argv: list[str]) -> int:
     camera = None if config.camera is None else camera_number(_renamed(config.camera, dataset), dataset)
     result = newest(config.result) if config.result else _result_in(out, scores)
     _require_scored(result, scores)
-    preview = Preview.read(out / "preview.json") if (out / "preview.json").exists() else None
+    preview = Preview.read(out / PREVIEW) if (out / PREVIEW).exists() else None
+    if preview is not None and preview.result not in (None, digest(result)):
+        print(f"note: {preview.image} is of another result and is left out; make it again with 'gof import'")
+        preview = None
     charts = [out / "pictures" / f"l2.{kind}" for kind in config.figure]
     require_figure(*charts)
     removal = fire_removal(dataset, brightest_frame(dataset), range(len(dataset.cameras)), result)

@@ -12,7 +12,7 @@ from gof.commands.everywhere import beside, require_free, write_figures
 from gof.commands.read import Pixels, Rate, Results, named, read_options
 from gof.core.cameras import Camera
 from gof.core.errors import GofError
-from gof.core.files import digest, read_json
+from gof.core.files import digest, read_json, stamp
 from gof.core.gaussians import TransientGaussians
 from gof.core.records import convert_json
 from gof.dataset import Dataset
@@ -23,11 +23,11 @@ from gof.host.options import require_number, require_positive
 from gof.host.terminal import console, progress_bar
 from gof.io.importers import ImportOptions
 from gof.io.importers.sidecar import with_sidecar
-from gof.look.animation import STILL, require_film
-from gof.look.film import FilmOptions, Recorded, fitted, is_begun, make_film
+from gof.look.animation import CODES, STILL, require_film
+from gof.look.film import FRAMES, FilmOptions, Recorded, fitted, is_begun, make_film
 from gof.look.panels import Panel, Subject
 from gof.look.path import Clock, Journey, Shot, Way, clock, orbit, say_what_is_a_guess, shots, stay, through
-from gof.look.player.opened import Opened, dataset_beside, middle_of, open_moving, time_span
+from gof.look.player.opened import Opened, dataset_beside, measured_alike, middle_of, open_moving, time_span
 from gof.look.player.page import front_camera
 
 MOST_SIZE = 4096
@@ -151,6 +151,7 @@ def main(argv: list[str]) -> int:
     first = named(config.results)[0][1]
     folder = config.dataset or dataset_beside(first)
     dataset = None if folder is None else Dataset.open(folder)
+    results = measured_alike(results, dataset)
     print_of_others((result.path for result in results), dataset)
     out = config.out or beside(first, "film.webm")
     span = _span(results, dataset)
@@ -168,7 +169,7 @@ def main(argv: list[str]) -> int:
     film_shots = shots(journey, times, along)
     if dataset is not None:
         film_shots = say_what_is_a_guess(film_shots, dataset.cameras)
-    still = None if style.scene is None else _still_scene(Path(style.scene))
+    still = None if style.scene is None else _still_scene(Path(style.scene), results[0])
     subjects, behind = _subjects(results, still, view, film_shots[0], config)
     look = FilmOptions(config.panels, config.fps, style.reduced, style.keep_frames)
     with progress_bar("video") as progress:
@@ -240,8 +241,11 @@ def _sized(camera: Camera, max_size: int | None) -> Camera:
     return camera.scaled(max(1, round(camera.width * height / camera.height)), height)
 
 
-def _still_scene(path: Path) -> TransientGaussians:
+def _still_scene(path: Path, flame: Opened) -> TransientGaussians:
+    """Return what stands still in a file, measured from the flame's datum."""
     gaussians = open_moving(path).gaussians
+    if isinstance(gaussians, TransientGaussians) and isinstance(flame.gaussians, TransientGaussians):
+        gaussians = gaussians.measured_from(flame.gaussians.datum)
     if not isinstance(gaussians, TransientGaussians) or gaussians.dynamic.all():
         raise GofError(
             f"--style scene={path}: holds nothing that stands still; `gof background DATASET` makes such a file"
@@ -279,12 +283,21 @@ def _subjects(
 
 
 def _made_of(style: FilmStyle, results: list[Opened], dataset: Dataset | None) -> str:
-    """Return which files the film is of, by their content, and how they were read."""
-    files = [result.path for result in results] + ([Path(style.scene)] if style.scene else [])
+    """Return which files the film is of, and how they were read: results, their own plates, worlds, a still scene."""
     options = [with_sidecar(result.path, ImportOptions())[0] for result in results]
-    digests = [digest(file) if file.is_file() else str(file.resolve()) for file in files]
+    files = [path for result in results for path in (result.path, result.path.absolute().parent / "plates")]
+    files += [Path(style.scene)] if style.scene else []
+    files += [own.world for own in options if own.world is not None]
     plates = "" if dataset is None else dataset.identity()
-    return " ".join([*digests, plates, repr(options)])
+    return " ".join([*map(_identity, files), plates, repr(options)])
+
+
+def _identity(path: Path) -> str:
+    """Return what changes with a file's content, or with the sizes and times of a folder's files, but for films."""
+    if path.is_file():
+        return digest(path)
+    own = [file for file in path.rglob("*") if file.suffix not in CODES and file.parent.suffix != FRAMES]
+    return f"{path.resolve()} {stamp(path, [file.relative_to(path).as_posix() for file in own if file.is_file()])}"
 
 
 def _figures(film) -> dict:

@@ -367,7 +367,7 @@ def description_lines(dataset: Dataset, total: int) -> dict[str, str]:
     lines = {
         "kind": "simulated, with true velocities" if dataset.has_velocity else "a capture of a real fire",
         "cameras": f"{roles.count('train')} to train on, {roles.count('eval')} to evaluate; {', '.join(sizes)} pixels",
-        "frames": f"{len(about.time_s)} over {about.time_s[-1]:g} s; held out: {held_out}",
+        "frames": f"{len(about.time_s)} over {about.time_s[-1] - about.time_s[0]:.4g} s; held out: {held_out}",
         "effects": ", ".join(about.effects) or "none",
         "size": f"{total / 1e6:.1f} MB",
     }

@@ -15,7 +15,16 @@ from gof.core.costs import StageCost, StageLog
 from gof.core.errors import DataFormatError, printable
 from gof.evaluate.authors_figures import NAME, OTHER_FOOTAGE, THEIRS
 from gof.evaluate.method import AboutMethod
-from gof.evaluate.scores import Agreement, Origin, PublishedFigures, Scores, TrivialScore, velocity_of
+from gof.evaluate.scores import (
+    OPACITY,
+    ORDER,
+    Agreement,
+    Origin,
+    PublishedFigures,
+    Scores,
+    TrivialScore,
+    velocity_of,
+)
 from gof.evaluate.trivial_baselines import BOUNDS
 
 LOWER, NEITHER, HIGHER = -1, 0, 1  # which values of a column are better
@@ -277,29 +286,29 @@ def rows_of(results: Sequence[EvaluatedResult], dataset: str | None = None) -> l
     of a single one.
 
     A trivial baseline is worth something on one result's Gaussians alone: beside several, each row has the best of its
-    own. A result that was scored on another dataset does not compete, and says so.
+    own. A result that was scored on another dataset, or in another way, does not compete, and says so.
 
     Args:
         dataset: on which the results are compared (`Dataset.scored_as`); default: that of most of them.
     """
     known = [result.scores.dataset for result in results if result.scores.dataset]
     dataset = dataset or max(known, key=known.count, default=None)
-    others = [result.scores.dataset not in (None, dataset) for result in results]
+    apart = [_apart(result.scores, dataset) for result in results]
     rows = [
         LeaderboardRow(
             name=result.name,
             method=result.scores.import_.method,
             unfinished=result.unfinished,
-            other_footage=other,
+            other_footage=why is not None,
             notes=(
-                *([f"scored on another dataset, {result.scores.dataset}: it does not compete"] if other else []),
+                *([f"{why}: it does not compete"] if why else []),
                 *result.notes,
                 *result.scores.import_.notes,
                 *result.scores.warnings,
             ),
             **_figures(result, COLUMNS),
         )
-        for result, other in zip(results, others, strict=True)
+        for result, why in zip(results, apart, strict=True)
     ]
     if any(result.scores.published is not None for result in results):
         rows.append(_authors_row())
@@ -315,6 +324,15 @@ def rows_of(results: Sequence[EvaluatedResult], dataset: str | None = None) -> l
         )
         for name, trivial_baseline in trivial_baselines.items()
     ]
+
+
+def _apart(scores: Scores, dataset: str | None) -> str | None:
+    """Return why a result cannot be compared with those of a dataset, in words; None: it can."""
+    if scores.dataset not in (None, dataset):
+        return f"scored on another dataset, {scores.dataset}"
+    if scores.dve is not None and (scores.dve.order, scores.dve.opacity) != (ORDER, OPACITY):
+        return f"its DVE is of order {scores.dve.order} and {scores.dve.opacity} opacity, not {ORDER} and {OPACITY}"
+    return None
 
 
 def _figures(result: EvaluatedResult, keys: Iterable[str]) -> dict[str, Any]:

@@ -109,6 +109,10 @@ class EveFigures:
         )
 
 
+ORDER = 3  # of the quadrature of every DVE that is compared, as OPACITY: nothing in a submission chooses them
+OPACITY: Opacity = "temporal"
+
+
 @dataclass(frozen=True, kw_only=True)
 class VelocityScore(ClipScore):
     """The result's own DVE.

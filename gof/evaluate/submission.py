@@ -27,11 +27,10 @@ from gof.dataset.leaks import FILE as MADE_FROM
 from gof.dataset.leaks import MadeFrom, leaks
 from gof.dataset.plates import background
 from gof.evaluate.alarms import beyond_sense, too_good
-from gof.evaluate.dve_frame import Opacity
 from gof.evaluate.image import psnr
 from gof.evaluate.intervals import over_frames
 from gof.evaluate.method import AboutMethod
-from gof.evaluate.scores import Scores
+from gof.evaluate.scores import OPACITY, ORDER, Scores
 from gof.evaluate.scoring import evaluate, known_frames
 from gof.evaluate.training_curve import FILE as CURVE
 from gof.evaluate.training_curve import TrainingCurve
@@ -181,8 +180,6 @@ def read_again(run: Run, dataset: Dataset) -> MovingGaussians:
 Verdict = Literal["ok", "hint", "refused"]
 SIGNS: dict[Verdict, str] = {"ok": "✓", "hint": "?", "refused": "✗"}
 
-ORDER = 3  # of every score, as OPACITY; nothing in a submission chooses them
-OPACITY: Opacity = "temporal"
 SEEDS = 3  # runs of a method whose training is random
 ALIKE_DB = 40.0  # PSNR, whole and in the flame, of a submitted picture against ours of the same Gaussians
 SAME = 0.005  # relative: what another CPU may change of a score

@@ -33,6 +33,7 @@ from gof.look.panels import (
 )
 from gof.look.path import Shot
 
+FRAMES = ".frames"
 MEASURED = 5  # shots from which colours are scaled
 OURS = re.compile(r"[0-9a-f]{16}_\d{5}\.png")  # frames that a film left behind; nothing else is ever removed
 
@@ -133,7 +134,7 @@ def make_film(
 
 def frames_folder(out: Path) -> Path:
     """Return the folder of a film's frames, OUT.frames."""
-    return out.with_name(f"{out.name}.frames")
+    return out.with_name(f"{out.name}{FRAMES}")
 
 
 def is_begun(out: Path) -> bool:

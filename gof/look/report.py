@@ -274,6 +274,9 @@ def _pictures(scores: Scores) -> Answer | None:
 # `preview.json`: a picture of the result in Blender, and which true picture it shows. `gof import` writes it.
 
 
+PREVIEW = "preview.json"
+
+
 @dataclass(frozen=True)
 class Preview:
     """A frame rendered by Blender from the imported result.
@@ -281,6 +284,7 @@ class Preview:
     Attributes:
         image: name of the picture, in the folder of preview.json.
         camera: number of the dataset's camera.   frame: of the dataset.
+        result: of which result, by `digest`; None: not said, as before 0.4.
 
     Raises:
         DataFormatError: `image` is a path.
@@ -292,6 +296,7 @@ class Preview:
     image: str
     camera: int
     frame: int
+    result: str | None = None
 
     def __post_init__(self):
         if not is_name(self.image):

@@ -9,8 +9,13 @@ import numpy as np
 import pytest
 from PIL import Image
 
+from gof.commands.cli import main as gof
+from gof.core.costs import StageCost
 from gof.core.description import CameraEntry, DatasetDescription, held_out
+from gof.core.files import digest
 from gof.core.gaussians import TransientGaussians
+from gof.look.report import Preview
+from gof_benchmark.commands import import_result
 from gof_blender.pure.spec import SceneSpec
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -156,3 +161,27 @@ def test_foreign_dataset(folder, tmp_path, changes, message):
     (tmp_path / "dataset.json").write_text(json.dumps(description))
     result = run_import(folder, dataset=tmp_path, blend=tmp_path / "scene.blend", preview=tmp_path / "preview.png")
     assert result.returncode == 2 and message in result.stderr
+
+
+def test_files_of_ones_own_beside_the_blend_are_kept(folder, tmp_path, monkeypatch, capsys):
+    """`--out ring.blend` beside a spec ring.json and a picture ring.png; a preview.json of another kind, too."""
+    asked = ["import", str(folder / "result.npz"), "--dataset", str(folder / "dataset"), "--out"]
+    monkeypatch.setattr(import_result, "run_worker", lambda *_: pytest.fail("nothing is to be made"))
+    (tmp_path / "ring.png").write_bytes(b"mine")
+    assert gof([*asked, str(tmp_path / "ring.blend")]) == 1
+    assert "ring.png: is there already" in capsys.readouterr().err
+    (tmp_path / "preview.json").write_text('{"schema": "gof-scene", "version": 3, "name": "ring"}')
+    assert gof([*asked, str(tmp_path / "new.blend")]) == 1
+    assert "preview.json" in capsys.readouterr().err
+
+    def make(command: list, _) -> StageCost:
+        for option in ("--blend", "--preview"):
+            Path(command[command.index(option) + 1]).write_bytes(b"made")
+        return StageCost("import", 1.0, 1.0)
+
+    monkeypatch.setattr(import_result, "run_worker", make)
+    (tmp_path / "preview.json").unlink()
+    (tmp_path / "new.json").write_text("mine")
+    assert gof([*asked, str(tmp_path / "new.blend")]) == 0
+    assert (tmp_path / "new.json").read_text() == "mine"
+    assert Preview.read(tmp_path / "preview.json").result == digest(folder / "result.npz")

@@ -22,6 +22,7 @@ from gof_blender.pure.effects import clock, moving_emitter, wind
 from gof_blender.pure.fires import Domain
 from gof_blender.pure.layout import Layout
 from gof_blender.pure.rig import Rig
+from gof_blender.pure.spec import GridFire, SceneSpec
 from gof_blender.pure.timing import Clip
 from tests.blender.runs import TOY, in_blender
 
@@ -195,5 +196,25 @@ def test_a_rig_whose_clocks_want_steps_that_are_gone_takes_no_fire(tmp_path):
     other.bake_marker.write_text("{}")
     other.blend.touch()
     with pytest.raises(SpecError, match="another fire burns there .fewer steps differ"):
+        layout.take_fire_of(other, ours)
+    assert not layout.bake.exists()
+
+
+def test_a_fire_whose_grids_were_solved_again_is_not_taken_over(tmp_path):
+    """Its pictures would be of the fire of before, and its velocities of the one of today."""
+    grids = tmp_path / "grids"
+    grids.mkdir()
+    (grids / "fire.json").write_text('{"solved": "monday"}')
+    theirs = SceneSpec(name="theirs", fire=GridFire(str(grids)))
+    ours = replace(theirs, name="ours", cameras=replace(theirs.cameras, count=5))
+    other, layout = Layout(tmp_path / "other"), Layout(tmp_path / "ours")
+    claim(other, theirs)
+    claim(layout, ours)
+    other.bake.mkdir(parents=True)
+    (other.bake / "000001.vdb").write_bytes(b"monday")
+    other.bake_marker.write_text("{}")
+    other.blend.touch()
+    (grids / "fire.json").write_text('{"solved": "tuesday, again"}')
+    with pytest.raises(SpecError, match="fire.json, which has changed since; bake it again"):
         layout.take_fire_of(other, ours)
     assert not layout.bake.exists()

@@ -136,6 +136,57 @@ def test_files_are_where_blender_has_the_cloud(tmp_path):
     assert np.abs(found["middle"] - centre).max() < 0.08, "Blender's box is of whole leaves of 8 voxels"
 
 
+@pytest.mark.blender
+def test_a_cloud_that_was_moved_is_written_where_it_stands(tmp_path):
+    """Turned, twice as large and 10 m away: as Blender's own matrix has it. What Opacity Cut hides is not written."""
+    pytest.importorskip("bpy", reason="the operator needs Blender")
+    found = in_blender(
+        """
+        import gof_blender, numpy as np
+        from gof_blender.scene import images, point_cloud  # the former puts Blender's Python packages on the path
+        from gof_blender.pure.io.cloud import GaussianCloud
+        import openvdb
+        gof_blender.register()
+        scene = bpy.context.scene
+        scene.frame_start = scene.frame_end = 1
+        n = 40
+        faint = np.arange(n) >= 20
+        place = np.random.default_rng(1).normal(0, 0.05, (n, 3)).astype(np.float32)
+        place[faint, 0] += 1
+        one = lambda value: np.full(n, value, np.float32)
+        rows = lambda *row: np.tile(np.array(row, np.float32), (n, 1))
+        cloud = GaussianCloud(
+            position=place, velocity=rows(0, 0, 1), t_mu=one(0), t_sigma=one(1), scale=rows(0.03, 0.03, 0.03),
+            rotation=rows(1, 0, 0, 0), opacity=np.where(faint, 0.05, 0.9).astype(np.float32),
+            color=rows(0.5, 0.5, 0.5), dynamic=np.ones(n, bool),
+        )
+        thing = point_cloud.add_point_cloud(cloud, 1.0, "points")
+        thing.location, thing.scale, thing.rotation_euler = (10, 0, 0), (2, 2, 2), (0, np.pi / 2, 0)
+        point_cloud.inputs(thing)["Opacity Cut"] = 0.1
+        bpy.context.view_layer.update()
+        thing.select_set(True)
+        bpy.context.view_layer.objects.active = thing
+        result["said"] = list(bpy.ops.gof.export_vdb(filepath=sys.argv[1] + "/f.vdb", voxel_m=0.02))
+        result["wanted"] = list(thing.matrix_world @ __import__("mathutils").Vector(place[~faint].mean(0).tolist()))
+        grids = {grid.name: grid for grid in openvdb.readAll(sys.argv[1] + "/f_0001.vdb")[0]}
+        density, velocity = grids["density"], grids["velocity"]
+        low, high = density.evalActiveVoxelBoundingBox()
+        values = np.zeros(np.array(high) - low + 1, np.float32)
+        density.copyToArray(values, ijk=low)
+        at = np.indices(values.shape).reshape(3, -1) + np.array(low)[:, None]
+        middle = (at * values.ravel()).sum(1) / values.sum()
+        result["middle"] = list(density.transform.indexToWorld(middle.tolist()))
+        result["ends"] = [list(density.transform.indexToWorld([float(v) for v in end])) for end in (low, high)]
+        result["velocity"] = list(next(velocity.iterOnValues()).value)
+        """,
+        tmp_path,
+    )
+    assert found["said"] == ["FINISHED"]
+    assert found["middle"] == pytest.approx(found["wanted"], abs=0.03)
+    assert np.ptp(found["ends"], axis=0).max() < 1.0, "the faint ones stand 2 m away"
+    assert found["velocity"] == pytest.approx([2, 0, 0], abs=1e-3)
+
+
 @pytest.mark.skipif(not BLENDER, reason="no Blender application on this machine (Debian: apt-get install blender)")
 def test_what_debians_blender_writes_is_what_the_wheel_writes(tmp_path):
     """With Debian's python3-openvdb; without it, and of USD and Alembic, one line says what to do."""

@@ -253,3 +253,15 @@ def test_page_in_a_browser(results, tmp_path):
     seen = json.loads(re.search(r"<title>(.*?)</title>", done.stdout, re.S)[1])
     assert seen["faults"] == [] and seen["charts"] >= 2
     assert seen["up"][0].startswith("Exact") and "slow" in seen["down"]
+
+
+@pytest.mark.parametrize("change", [{"order": 1}, {"opacity": "base"}])
+def test_a_score_of_another_quadrature_or_weight_competes_with_nobody(results, tmp_path, change):
+    """Python's `evaluate` may be told both; the same result then has another L2."""
+    scores = json.loads((results / "exact/scores.json").read_text())
+    scores["dve"] |= change
+    (tmp_path / "own").mkdir()
+    (tmp_path / "own/scores.json").write_text(json.dumps(scores))
+    rows = rows_of(collect([results / "slow", tmp_path / "own", results / "gone"]))
+    assert not rows[1].competes and "does not compete" in rows[1].notes[0] and rows[0].competes
+    assert best_rows(rows)["l2"] != 1

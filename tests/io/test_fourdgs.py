@@ -8,6 +8,7 @@ import zlib
 import numpy as np
 import pytest
 
+from gof.commands.cli import main as gof
 from gof.commands.convert import main
 from gof.core.datum import Datum
 from gof.core.errors import DataFormatError, GofError
@@ -17,6 +18,7 @@ from gof.core.rotations import rotation_matrices
 from gof.io import fourdgs
 from gof.io.convert import convert
 from gof.io.importers import Imported, ImportOptions, read_result
+from gof.io.importers.sidecar import with_sidecar
 from tests.conftest import random_gaussians
 from tests.io.stages import openusd
 
@@ -236,3 +238,25 @@ def test_gas_that_goes_through_light_that_stands_still_comes_back(tmp_path, suff
     assert back.dynamic.sum() == dynamic
     speeds = [np.sort(np.linalg.norm(each.moving_gas, axis=1)) for each in (g, back)]  # each format has its own order
     np.testing.assert_allclose(*speeds, atol=0.05)  # a .4dgs has steps of 0.05 m/s
+
+
+def test_what_was_said_of_a_file_stays_until_it_is_said_otherwise(tmp_path, capsys):
+    """A second `gof convert RESULT` keeps the clock of the first; --time-zero 0 is a clock, too."""
+    random_gaussians(20).save(tmp_path / "a.npz")
+    path = tmp_path / "x.4dgs"
+    assert gof(["convert", str(tmp_path / "a.npz"), str(path), "--clip", "0", "1"]) == 0
+
+    def first_s(file) -> float:
+        return float(np.min(read_result(file, with_sidecar(file, ImportOptions())[0]).gaussians.t_mu))
+
+    plain = first_s(path)
+    for words, later in ((["--time-zero", "5"], 5), (["--flame-only"], 5), (["--time-zero", "0"], 0)):
+        assert gof(["convert", str(path), *words]) == 0
+        assert first_s(path) == pytest.approx(plain + later, abs=1e-3)
+    assert with_sidecar(path, ImportOptions())[0].flame_only
+    assert gof(["convert", str(path), "--time-zero", "5"]) == 0
+    for more, later in (([], 5), (["--time-zero", "0"], 0)):
+        capsys.readouterr()
+        assert gof(["convert", str(path), str(tmp_path / "y.npz"), "--overwrite", *more]) == 0
+        assert first_s(tmp_path / "y.npz") == pytest.approx(plain + later, abs=1e-3)
+        assert "as x.4dgs.gof.json says: " in capsys.readouterr().out.replace("\n", " ")

@@ -1,6 +1,7 @@
 """Films: decoded again and held against `gof.render`; stopped and gone on; what is behind the flame; refusals."""
 
 import json
+import shutil
 from dataclasses import replace
 
 import cv2
@@ -9,6 +10,8 @@ import pytest
 from PIL import Image
 
 from gof.commands.cli import main as gof
+from gof.commands.video import FilmStyle, _made_of
+from gof.core.datum import Datum
 from gof.core.errors import GofError
 from gof.core.gaussians import TransientGaussians
 from gof.core.trajectory import Trajectory
@@ -16,6 +19,7 @@ from gof.evaluate.screen_motion import sideways_velocity
 from gof.look.film import FilmOptions, make_film
 from gof.look.panels import Scales, Subject, depth_colours, draw_panel, error_colours, measure_scales, picture, stamp
 from gof.look.path import Shot, orbit, shots
+from gof.look.player.opened import open_moving
 from gof.render import render
 from tests.conftest import arc, look_at, write_dataset
 
@@ -307,3 +311,42 @@ def test_command_keeps_a_file_that_a_user_named(made, name, capsys):
 def test_command_without_a_dataset_goes_around_and_nothing_else(made, capsys):
     assert gof(["video", str(made / "fire.npz"), "--camera-path", "camera"]) != 0
     assert "--dataset" in capsys.readouterr().err
+
+
+def test_command_makes_a_film_anew_of_a_folder_with_other_files(made, capsys):
+    """A folder's result is its files, and frames that are kept are of those of before."""
+    asked = ["video", str(made / "clip"), "--mode", "freeze", "--panels", "rgb", "--max-size", "32", "--overwrite"]
+    asked += ["--style", "seconds=0.1", "keep_frames", "--out", str(made / "a.png")]
+    seen = []
+    for color in ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0)):
+        one(color=color).save(made / "one.npz")
+        shutil.rmtree(made / "clip", ignore_errors=True)
+        words = ["convert", str(made / "one.npz"), str(made / "clip"), "--clip", "0", "0.2", "--frame-time", "0.1"]
+        assert gof(words) == 0
+        assert gof(["convert", str(made / "clip"), "--time-unit", "0.1"]) == 0
+        assert gof(asked) == 0
+        seen.append(cv2.imread(str(made / "a.png"))[..., ::-1].reshape(-1, 3).max(0))
+    red, green = np.array(seen, int)
+    assert red[0] > 150 > 50 > red[1] and green[1] > 150 > 50 > green[0]
+    capsys.readouterr()
+    assert gof(asked) == 0 and "1 of 1 frames were there already" in capsys.readouterr().out
+
+
+def test_a_film_is_of_the_results_own_plates_too(made):
+    (made / "plates").mkdir()
+    keys = []
+    for grey in (10, 200):
+        Image.fromarray(np.full((64, 36), grey + grey % 3, np.uint8)).save(made / "plates/cam_0.png", compress_level=0)
+        keys.append(_made_of(FilmStyle.read(()), [open_moving(made / "fire.npz")], None))
+    assert keys[0] != keys[1]
+
+
+def test_command_shows_a_result_by_the_datasets_clock(made):
+    """The same flame in a file that counts from half a second earlier."""
+    near, _ = film_of(made, "--panels", "rgb")
+    g = flame()
+    replace(g, t_mu=g.t_mu + 0.5, datum=Datum(time_s=-0.5)).save(made / "fire.npz")
+    far, _ = film_of(made, "--panels", "rgb", "--overwrite")
+    assert len(near) == len(far) and near[0].max() > 60
+    for a, b in zip(near, far, strict=True):
+        assert np.abs(a.astype(int) - b).mean() < 2

@@ -15,6 +15,7 @@ from PIL import Image
 from gof.commands.report import main
 from gof.core.costs import StageLog
 from gof.core.errors import DataFormatError
+from gof.core.files import digest
 from gof.core.gaussians import TransientGaussians
 from gof.dataset import Dataset
 from gof.evaluate import evaluate
@@ -351,3 +352,13 @@ def test_a_filmed_fire_is_not_called_a_simulation(out, tmp_path):
     (tmp_path / "dataset/dataset.json").write_text(json.dumps(no_length))
     assert main([str(tmp_path)]) == 0
     assert "the unit of length is not known" in (tmp_path / "report.html").read_text()
+
+
+def test_a_preview_of_another_result_is_left_out(out, tmp_path, capsys):
+    shutil.copytree(out, tmp_path / "demo")
+    folder, words = tmp_path / "demo", "imported as an animated point cloud"
+    for result, shown in ((digest(folder / "reconstruct/result.npz"), True), ("0" * 16, False)):
+        Preview("blender.png", 1, 4, result).write(folder / "preview.json")
+        assert main([str(folder)]) == 0
+        assert (words in (folder / "report.html").read_text()) is shown
+        assert ("blender.png is of another result" in capsys.readouterr().out) is not shown

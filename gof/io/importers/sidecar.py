@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Collection
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import ClassVar
@@ -50,10 +51,14 @@ def write_sidecar(result: Path, options: ImportOptions) -> Path:
     return path
 
 
-def with_sidecar(result: Path, options: ImportOptions) -> tuple[ImportOptions, Path | None]:
+def with_sidecar(
+    result: Path, options: ImportOptions, given: Collection[str] = ()
+) -> tuple[ImportOptions, Path | None]:
     """Return options of a result: what the caller does not give is as its file says; and that file, where it has a
     part.
 
+    Args:
+        given: fields that the caller gives, whatever their value.
     Raises:
         DataFormatError: the file is damaged.   GofError: see `ImportOptions`.
     """
@@ -64,7 +69,8 @@ def with_sidecar(result: Path, options: ImportOptions) -> tuple[ImportOptions, P
     values = {name: getattr(record, name) for name in FIELDS}
     if record.world is not None:
         values["world"] = Path(os.path.normpath(path.parent / record.world))
-    missing = {name: value for name, value in values.items() if value and not getattr(options, name)}
+    asked = {name for name in values if getattr(options, name)}.union(given)
+    missing = {name: value for name, value in values.items() if value and name not in asked}
     return (replace(options, **missing), path) if missing else (options, None)
 
 

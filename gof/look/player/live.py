@@ -22,8 +22,8 @@ import numpy as np
 from gof.core.errors import GofError
 from gof.core.gaussians import TransientGaussians
 from gof.dataset import Dataset
-from gof.look.player.opened import Opened, newest, open_moving
-from gof.look.player.page import PageSetting, assemble, measured_alike, packed_result, scales, subtitle, title_of
+from gof.look.player.opened import Opened, measured_alike, newest, open_moving
+from gof.look.player.page import PageSetting, assemble, packed_result, scales, subtitle, title_of
 from gof.look.player.quantise import pack
 
 HOST = "127.0.0.1"

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Generic, TypeVar
 
@@ -25,6 +25,16 @@ class Opened(Generic[G]):
     path: Path
     gaussians: G
     flame_only: bool = False
+
+
+def measured_alike(results: list[Opened[G]], dataset: Dataset | None) -> list[Opened[G]]:
+    """Return all, measured from the dataset's datum; without one, from the first result's."""
+    first = results[0].gaussians
+    own = first.datum if isinstance(first, TransientGaussians) else None  # positions over time have none
+    datum = own if dataset is None else dataset.datum
+    if datum is None:
+        return results
+    return [replace(result, gaussians=result.gaussians.measured_from(datum)) for result in results]
 
 
 def newest(path: Path) -> Path:

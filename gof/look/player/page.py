@@ -12,7 +12,7 @@ import io
 import json
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -32,7 +32,7 @@ from gof.dataset.plates import background
 from gof.look.images import PLATE_QUALITY, PLATE_SIDE, VIRIDIS, base64_text, frames_within, ramp, webp
 from gof.look.pages import template
 from gof.look.player import legend
-from gof.look.player.opened import G, Opened, middle_of, time_span
+from gof.look.player.opened import Opened, measured_alike, middle_of, time_span
 from gof.look.player.quantise import Packed, PackedFidelity, measure, pack, unpack
 
 PLAYER = Path(__file__).parent
@@ -210,16 +210,6 @@ def credit(dataset: Dataset) -> str:
         CREDITS[name].format(", ".join(map(str, value)) if isinstance(value, list) else value)
         for name, value in found.items()
     )
-
-
-def measured_alike(results: list[Opened[G]], dataset: Dataset | None) -> list[Opened[G]]:
-    """Return all, measured from the dataset's datum; without one, from the first result's."""
-    first = results[0].gaussians
-    own = first.datum if isinstance(first, TransientGaussians) else None  # positions over time have none
-    datum = own if dataset is None else dataset.datum
-    if datum is None:
-        return results
-    return [replace(result, gaussians=result.gaussians.measured_from(datum)) for result in results]
 
 
 def assemble(content: dict[str, Any], title: str) -> str:
