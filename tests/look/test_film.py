@@ -321,6 +321,7 @@ def test_command_makes_a_film_anew_of_a_folder_with_other_files(made, capsys):
     for color in ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0)):
         one(color=color).save(made / "one.npz")
         shutil.rmtree(made / "clip", ignore_errors=True)
+        (made / "clip.gof.json").unlink(missing_ok=True)
         words = ["convert", str(made / "one.npz"), str(made / "clip"), "--clip", "0", "0.2", "--frame-time", "0.1"]
         assert gof(words) == 0
         assert gof(["convert", str(made / "clip"), "--time-unit", "0.1"]) == 0
