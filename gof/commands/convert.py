@@ -128,7 +128,8 @@ def _write_down(config: ConvertConfig) -> int:
     out.print(f"{imported.method}: {len(imported.gaussians)} Gaussians in {imported.path}")
     for note in imported.notes:
         out.print("note:", note, style="yellow")
-    out.print(f"{path}: written; every command that reads {config.result} reads it")
+    out.print(in_words(path, options))
+    out.print(f"{path}: written; every command that reads {config.result} reads it. To start anew, remove it")
     write_figures({"method": imported.method, "notes": imported.notes, "out": str(path)})
     return 0
 

@@ -61,8 +61,9 @@ def test_the_date_of_its_code_stands_beside_the_checkpoint(tmp_path, capsys):
     said.write_text('{"schema": "gof-import", "version": 1, "code_date": "2024-09-14", "flame_only": true}')
     result = str(tmp_path / "chkpnt30000.pth")
     assert main(["convert", result, "--time-unit", "2"]) == 0
+    assert "as chkpnt30000.pth.gof.json says: time unit 2 s" in " ".join(capsys.readouterr().out.split())
     about = json.loads(said.read_text())
-    assert about["code_date"] == "2024-09-14" and about["time_unit_s"] == 2 and not about["flame_only"]
+    assert about["code_date"] == "2024-09-14" and about["time_unit_s"] == 2 and about["flame_only"]
     S = yang_covariance(raw, False)
     got = read_result(result).gaussians
     np.testing.assert_allclose(got.velocity, S[:, :3, 3] / S[:, 3, 3, None] / 2, rtol=1e-4, atol=1e-5)
