@@ -20,9 +20,9 @@ def test_rates_are_held_and_then_fall_to_a_tenth():
             dict.fromkeys(sorted(first.keys() - {"x0"}), share)
         )
     short = Schedule(2500, OURS.rates, gas_apart=True)
-    color = short.raw_rates(UNITS, 1250)["color_logit"]  # a fourth of it is the step of a middle grey
-    assert color / 4 == OURS.rates.color, "the first half of a short run has no fall"
-    assert short.raw_rates(UNITS, 1875)["color_logit"] == pytest.approx(color * 0.1**0.5)
+    color = short.raw_rates(UNITS, 1750)["color_logit"]  # a fourth of it is the step of a middle grey
+    assert color / 4 == OURS.rates.color, "seven tenths of a short run have no fall"
+    assert short.raw_rates(UNITS, 2125)["color_logit"] == pytest.approx(color * 0.1**0.5)
     assert replace(short, color_of_light=False).raw_rates(UNITS)["color"] == OURS.rates.color
     middle, last = (schedule.raw_rates(UNITS, step)["x0"] for step in (11_250, 22_500))
     assert first["x0"] == pytest.approx(0.1 * OURS.rates.position[0])
