@@ -3,6 +3,7 @@
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import bpy
 import numpy as np
@@ -87,7 +88,7 @@ class Recording:
             raise DataFormatError("these are stills, one after another, and nothing in them moves: write .usdc or .abc")
         if not pace:
             raise DataFormatError("Time Scale is 0, so nothing moves: set it, or write .usdc or .abc")
-        cloud = self.drawn(world)
+        cloud: Any = self.drawn(world)
         light = np.where(cloud.dynamic[:, None], cloud.velocity, 0)
         known = not np.array_equal(cloud.moving_gas, light)  # the .blend has the light's where a result has no gas'
         return replace(

@@ -244,8 +244,9 @@ def _sized(camera: Camera, max_size: int | None) -> Camera:
 def _still_scene(path: Path, flame: Opened) -> TransientGaussians:
     """Return what stands still in a file, measured from the flame's datum."""
     gaussians = open_moving(path).gaussians
-    if isinstance(gaussians, TransientGaussians) and isinstance(flame.gaussians, TransientGaussians):
-        gaussians = gaussians.measured_from(flame.gaussians.datum)
+    datum = flame.gaussians.datum if isinstance(flame.gaussians, TransientGaussians) else None
+    if datum is not None:
+        gaussians = gaussians.measured_from(datum)
     if not isinstance(gaussians, TransientGaussians) or gaussians.dynamic.all():
         raise GofError(
             f"--style scene={path}: holds nothing that stands still; `gof background DATASET` makes such a file"

@@ -114,8 +114,9 @@ def _colour_in_use(bits: _Bits) -> Colour:
         return UNKNOWN
     bits.read(3)
     full_range = bits.read(1) == 1
-    points = [bits.read(8) for _ in range(3)] if bits.read(1) else []
-    return Colour(*points, full_range=full_range)
+    if not bits.read(1):
+        return Colour(full_range=full_range)
+    return Colour(bits.read(8), bits.read(8), bits.read(8), full_range)
 
 
 def _read_h265(description: bytes) -> Colour:

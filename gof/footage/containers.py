@@ -237,8 +237,8 @@ def _colour_of_mp4(header: bytes, start: int, end: int) -> Colour:
     """Return that of a film's description: its box `colr` of code points."""
     for place, _ in boxes(header, start, end, b"colr"):
         if (kind := header[place : place + 4]) in (b"nclx", b"nclc"):  # the latter, of QuickTime, says no range
-            points = struct.unpack_from(">HHH", header, place + 4)
-            return Colour(*points, full_range=kind == b"nclx" and header[place + 10] >> 7 == 1)
+            primaries, transfer, matrix = struct.unpack_from(">HHH", header, place + 4)
+            return Colour(primaries, transfer, matrix, kind == b"nclx" and header[place + 10] >> 7 == 1)
     return UNKNOWN
 
 
@@ -273,8 +273,8 @@ def _colour_of_matroska(data: bytes, video: tuple[int, int]) -> Colour:
     place = next(_elements(data, *video, 0x55B0), None)
     if place is None:
         return UNKNOWN
-    points = (_number_in(data, place, number, UNSAID) for number in (0x55BB, 0x55BA, 0x55B1))
-    return Colour(*points, full_range=_number_in(data, place, 0x55B9, 0) == 2)
+    primaries, transfer, matrix = (_number_in(data, place, number, UNSAID) for number in (0x55BB, 0x55BA, 0x55B1))
+    return Colour(primaries, transfer, matrix, _number_in(data, place, 0x55B9, 0) == 2)
 
 
 def _elements(data: bytes, start: int, end: int, wanted: int) -> Iterator[tuple[int, int]]:
