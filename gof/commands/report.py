@@ -28,6 +28,8 @@ from gof.look.pages import page_pictures
 from gof.look.player.opened import newest
 from gof.look.report import PREVIEW, Preview, build_report
 
+TWINS = (".npz", ".ply")  # one result in both, as `gof reconstruct` writes it
+
 
 @dataclass
 class ReportConfig:
@@ -63,7 +65,8 @@ def main(argv: list[str]) -> int:
     result = newest(config.result) if config.result else _result_in(out, scores)
     _require_scored(result, scores)
     preview = Preview.read(out / PREVIEW) if (out / PREVIEW).exists() else None
-    if preview is not None and preview.result not in (None, digest(result)):
+    twins = {digest(file) for file in (result.with_suffix(kind) for kind in TWINS) if file.is_file()}
+    if preview is not None and preview.result not in (None, digest(result), *twins):
         print(f"note: {preview.image} is of another result and is left out; make it again with 'gof import'")
         preview = None
     charts = [out / "pictures" / f"l2.{kind}" for kind in config.figure]

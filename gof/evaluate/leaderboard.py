@@ -167,8 +167,8 @@ COLUMNS = {
 class LeaderboardRow:
     """A line of the leaderboard: a result, or a trivial baseline of the only one. The figures are named as in COLUMNS.
 
-    A line with `other_footage` shows what authors published for other fires, and one with `unfinished` a training that
-    was stopped before its end; they are not ranked.
+    A line with `other_footage` shows what authors published for other fires, or a score of another dataset or kind, and
+    one with `unfinished` a training that was stopped before its end; they are not ranked.
     """
 
     FORMER: ClassVar[dict[str, str]] = {"control": "trivial_baseline"}  # of 0.2; goes with the next version

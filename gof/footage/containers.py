@@ -13,7 +13,7 @@ import numpy as np
 
 from gof.footage.colour import UNKNOWN, UNSAID, Colour
 
-MOST_FRAMES = 1 << 26  # of one track: a week at 100 per second
+MOST_FRAMES, MOST_EDITS = 1 << 26, 1 << 12  # of one track: a week at 100 per second
 MOST_READ = 1 << 20  # bytes at the beginning of an AVI or Matroska file in which its tracks are listed
 FROM_1904_TO_1970 = 2_082_844_800  # s; MP4 counts from 1904
 FOCAL_KEY = b"com.apple.quicktime.camera.focal_length.35mm_equivalent"
@@ -207,6 +207,8 @@ def _shown(times: np.ndarray, units: int, header: bytes, trak: tuple[int, int]) 
 
     Args:
         times: (N,) of all frames, of `units` per second.
+    Raises:
+        ValueError: the list is too long to be one.
     """
     if not len(times):
         return 0, None
@@ -214,6 +216,8 @@ def _shown(times: np.ndarray, units: int, header: bytes, trak: tuple[int, int]) 
     if box is None:
         return len(times), float(times.min() / units)
     count, form = struct.unpack_from(">I", header, box[0] + 4)[0], ">Qqi" if header[box[0]] == 1 else ">Iii"
+    if count > MOST_EDITS:
+        raise ValueError(f"an edit list claims {count} parts")
     per_second = _timescale(header, 0, len(header), b"mvhd")
     shown, begins_s, now_s = 0, None, 0.0
     for k in range(count):

@@ -103,7 +103,7 @@ def require_whole(videos: list[VideoInfo], enough: bool) -> list[str]:
     """
     notes = []
     for video in videos:
-        if not video.stated_frames or video.frames == video.stated_frames or video.stamps_s is None:
+        if not video.stated_frames or (video.frames or 0) >= video.stated_frames or video.stamps_s is None:
             continue
         counts = f"{video.frames} of the {video.stated_frames} frames that it states can be read"
         if video.breaks_off and not enough:
